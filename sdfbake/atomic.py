@@ -1,0 +1,48 @@
+"""Files that appear whole or not at all.
+
+In: a final path. Out: a temporary path beside it to write to, renamed when the block ends without error.
+"""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sdfbake.complaint import BadInput
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary sibling of `path` that takes its place when the block succeeds.
+
+    Parameters
+    ----------
+    path
+        Where the file is to be. Missing folders are made.
+
+    Yields
+    ------
+    Path
+        The temporary file, with the same suffix (some writers choose their format by it).
+
+    Raises
+    ------
+    BadInput
+        If the folder cannot be made or written to.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"cannot make the folder {path.parent} ({error.strerror}): choose another output") from None
+    if path.is_dir() or not os.access(path.parent, os.W_OK):
+        raise BadInput(f"cannot write {path}: the folder is not writable or the name is a folder; choose another output")
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
+    try:
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise BadInput(f"cannot write {path} ({error.strerror}): free some space or choose another output") from None
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,141 @@
+"""The NumPy engine: always there, float64 by default, the reference.
+
+Programs run on tiles of rays over a pool of threads (NumPy releases the interpreter lock in its loops); loops compact
+the rays that are still alive.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sdfbake.engine.protocol import Array, Program, State
+from sdfbake.engine.tree import leaves, rebuild
+
+TILE = 32768  # rays: 256 kB per float64 array, so that a program's live arrays stay in the caches
+
+
+@dataclass(frozen=True, slots=True)
+class NumpyEngine:
+    """Programs as plain NumPy."""
+
+    precision: int = 64
+    name: str = "numpy"
+
+    @property
+    def float_type(self) -> type[np.floating[Any]]:
+        """The float type of the arrays."""
+        return np.float64 if self.precision == 64 else np.float32
+
+    @property
+    def eps(self) -> float:
+        """Distance from 1 to the next float."""
+        return float(np.finfo(self.float_type).eps)
+
+    def run(self, program: Program, inputs: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        """Run a program in tiles; see `Engine.run`."""
+        columns = [self.table(column) for column in inputs]
+        count = len(columns[0])
+        if count == 0:  # a program cannot be asked for the names of its outputs without a ray
+            one = [np.zeros(1, column.dtype) for column in columns]
+            return {name: value[:0] for name, value in self._tile(program, one, 0).items()}
+        starts = range(0, count, TILE)
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            tiles = list(pool.map(lambda start: self._tile(program, columns, start), starts))
+        return {name: np.concatenate([tile[name] for tile in tiles]) for name in tiles[0]}
+
+    def _tile(self, program: Program, columns: list[np.ndarray], start: int) -> dict[str, np.ndarray]:
+        part = [column[start : start + TILE] for column in columns]
+        with np.errstate(all="ignore"):  # rays that are masked out compute whatever they like
+            return {name: np.asarray(value) for name, value in program(self, *part).items()}
+
+    def table(self, values: np.ndarray) -> Array:
+        """Make a look-up table; see `Engine.table`."""
+        values = np.asarray(values)
+        if values.dtype == np.uint8:
+            return np.ascontiguousarray(values).ravel()
+        kind = self.float_type if values.dtype.kind == "f" else np.int32
+        return np.ascontiguousarray(values, kind).ravel()
+
+    def uniform(self, value: float | int) -> Array:
+        """Return the number itself."""
+        return value
+
+    def gather(self, table: Array, index: Array, active: Array) -> Array:
+        """Look up a table; see `Engine.gather`."""
+        found = table.take(np.where(active, index, 0))
+        return found.astype(np.int32) if table.dtype == np.uint8 else found
+
+    def where(self, mask: Array, yes: Array, no: Array) -> Array:
+        """Choose by mask."""
+        return np.where(mask, yes, no)
+
+    def fma(self, a: Array, b: Array, c: Array) -> Array:
+        """Return a * b + c (rounded twice: NumPy has no fused form)."""
+        return a * b + c
+
+    def sqrt(self, x: Array) -> Array:
+        """Return the square root."""
+        return np.sqrt(x)
+
+    def log2(self, x: Array) -> Array:
+        """Return the binary logarithm."""
+        return np.log2(x)
+
+    def floor(self, x: Array) -> Array:
+        """Round down."""
+        return np.floor(x)
+
+    def abs(self, x: Array) -> Array:
+        """Return the magnitude."""
+        return np.abs(x)
+
+    def minimum(self, a: Array, b: Array) -> Array:
+        """Return the lesser of two."""
+        return np.minimum(a, b)
+
+    def maximum(self, a: Array, b: Array) -> Array:
+        """Return the greater of two."""
+        return np.maximum(a, b)
+
+    def integer(self, x: Array) -> Array:
+        """Truncate to int32; what does not fit becomes something (rays that are masked out)."""
+        return np.asarray(x).astype(np.int32)
+
+    def real(self, x: Array) -> Array:
+        """Turn integers into floats."""
+        return np.asarray(x, self.float_type)
+
+    def full(self, like: Array, value: float | int | bool) -> Array:
+        """Make an array of one value."""
+        kind = bool if isinstance(value, bool) else np.int32 if isinstance(value, int) else self.float_type
+        return np.full(like.shape, value, kind)
+
+    def while_loop(
+        self,
+        condition: Callable[[State], Array],
+        body: Callable[[State, tuple[Any, ...]], State],
+        state: State,
+        constants: tuple[Any, ...] = (),
+    ) -> State:
+        """Repeat the body on the rays that still want it; see `Engine.while_loop`."""
+        result = [np.array(leaf) for leaf in leaves(state)]
+        alive = np.flatnonzero(condition(state))
+        current = rebuild(state, [leaf[alive] for leaf in result])
+        fixed = rebuild(constants, [leaf[alive] for leaf in leaves(constants)])
+        while alive.size:
+            current = body(current, fixed)
+            going = condition(current)
+            if going.all():
+                continue
+            done = np.flatnonzero(~going)
+            for whole, part in zip(result, leaves(current), strict=True):
+                whole[alive[done]] = part[done]
+            kept = np.flatnonzero(going)
+            alive = alive[kept]
+            current = rebuild(current, [leaf[kept] for leaf in leaves(current)])
+            fixed = rebuild(fixed, [leaf[kept] for leaf in leaves(fixed)])
+        return rebuild(state, result)

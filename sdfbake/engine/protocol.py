@@ -1,0 +1,111 @@
+"""What a program may ask of an engine.
+
+Arrays of an engine are one-dimensional: floats of one precision, 32-bit integers, masks. Arithmetic, comparisons and
+`& | ~ >> <<` are the arrays' own operators; everything else is a method here. A program must not look at a size, at a
+dtype, or at a value: on a compiling engine there is none yet.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+Array = Any  # a NumPy array or a Dr.Jit array: the two share operators, not a type
+State = TypeVar("State", bound=tuple[Any, ...])
+Program = Callable[..., Mapping[str, Array]]
+
+
+class Engine(Protocol):
+    """An array engine; see the module's text for what its arrays can do by themselves."""
+
+    @property
+    def name(self) -> str:
+        """`numpy` or `drjit`."""
+        ...
+
+    @property
+    def precision(self) -> int:
+        """Bits of a float, 32 or 64."""
+        ...
+
+    @property
+    def eps(self) -> float:
+        """Distance from 1 to the next float."""
+        ...
+
+    def run(self, program: Program, inputs: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        """Call `program(self, *inputs)` on whole rays and return its arrays as NumPy arrays.
+
+        The inputs have one common length; floats become floats of the engine's precision, integers 32-bit integers.
+        """
+        ...
+
+    def table(self, values: np.ndarray) -> Array:
+        """Make a look-up table for `gather`: floats of the engine's precision, int32, or uint8."""
+        ...
+
+    def uniform(self, value: float | int) -> Array:
+        """Make one number that all rays share and that no compiled program contains as a literal."""
+        ...
+
+    def gather(self, table: Array, index: Array, active: Array) -> Array:
+        """Return `table[index]` where active, anything elsewhere; uint8 tables give integers."""
+        ...
+
+    def where(self, mask: Array, yes: Array, no: Array) -> Array:
+        """Choose by mask; at least one of the two is an array."""
+        ...
+
+    def fma(self, a: Array, b: Array, c: Array) -> Array:
+        """Return a * b + c."""
+        ...
+
+    def sqrt(self, x: Array) -> Array:
+        """Return the square root."""
+        ...
+
+    def log2(self, x: Array) -> Array:
+        """Return the binary logarithm."""
+        ...
+
+    def floor(self, x: Array) -> Array:
+        """Round down, as floats."""
+        ...
+
+    def abs(self, x: Array) -> Array:
+        """Return the magnitude."""
+        ...
+
+    def minimum(self, a: Array, b: Array) -> Array:
+        """Return the lesser of two."""
+        ...
+
+    def maximum(self, a: Array, b: Array) -> Array:
+        """Return the greater of two."""
+        ...
+
+    def integer(self, x: Array) -> Array:
+        """Truncate floats to integers, or turn a mask into 0 and 1."""
+        ...
+
+    def real(self, x: Array) -> Array:
+        """Turn integers into floats."""
+        ...
+
+    def full(self, like: Array, value: float | int | bool) -> Array:
+        """Make an array of one value as long as `like`: floats, integers or a mask by the value's type."""
+        ...
+
+    def while_loop(
+        self,
+        condition: Callable[[State], Array],
+        body: Callable[[State, tuple[Any, ...]], State],
+        state: State,
+        constants: tuple[Any, ...] = (),
+    ) -> State:
+        """Repeat `state = body(state, constants)` for every ray on its own while its `condition(state)` holds.
+
+        State and constants are nested tuples of full-width arrays; `constants` may also hold what is not an array
+        through the closure of `body`. A ray whose condition fails keeps its state.
+        """
+        ...

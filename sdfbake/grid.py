@@ -1,0 +1,222 @@
+"""The grid asset in memory: bricks of exact distances around a surface, with what else is known there.
+
+In: an exact shape, a dense array, or what a bake computed. Out: a frozen `Grid`.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+
+from sdfbake import bricks as brick
+from sdfbake.bricks import SIDE, Bricks
+from sdfbake.complaint import BadInput
+from sdfbake.dense import needed
+from sdfbake.lattice import BAND, Lattice
+from sdfbake.metadata import Metadata
+from sdfbake.shape import Charted, Shape
+
+# Channels of a grid: numbers per sample and how they are stored.
+CHANNELS: dict[str, tuple[tuple[int, ...], str]] = {
+    "distance": ((), "<f4"),
+    "uv": ((2,), "<f4"),
+    "chart": ((), "<i4"),
+    "part": ((), "|u1"),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid:
+    """Sparse signed distances with texture coordinates, chart and part of the closest surface point.
+
+    Attributes
+    ----------
+    lattice
+        Where the samples lie.
+    bricks
+        Which bricks exist, in the order of the channels' first axis.
+    distance
+        Signed distance, negative inside, float32, world units; exact to its rounding where it is at most `BAND`
+        voxels. Samples of a brick beyond the lattice are 0 and never used, in every channel.
+    uv
+        Texture coordinates of the closest surface point, float32; None where they were not asked for.
+    chart, part
+        Chart (int32) and part (uint8) of that point; None where there is only one, or it was not asked for.
+    metadata
+        Where all this comes from.
+    """
+
+    lattice: Lattice
+    bricks: Bricks
+    distance: Float[np.ndarray, "k 8 8 8"]
+    uv: Float[np.ndarray, "k 8 8 8 2"] | None
+    chart: Int[np.ndarray, "k 8 8 8"] | None
+    part: Int[np.ndarray, "k 8 8 8"] | None
+    metadata: Metadata
+
+    def __post_init__(self) -> None:
+        if self.bricks.slot.shape != brick.counts(self.lattice.shape):
+            raise ValueError(f"a brick table of {self.bricks.slot.shape} for a lattice of {self.lattice.shape}")
+        for name, (width, kind) in CHANNELS.items():
+            values, shape = getattr(self, name), (len(self.bricks), SIDE, SIDE, SIDE, *width)
+            if values is not None and (values.shape != shape or values.dtype != np.dtype(kind)):
+                raise ValueError(f"{name} is {values.dtype}{values.shape}, expected {kind}{shape}")
+
+    @staticmethod
+    def from_function(
+        shape: Shape,
+        resolution: int | None = None,
+        *,
+        uv_mode: str = "grid",
+        lattice: Lattice | None = None,
+        cube: bool = False,
+    ) -> "Grid":
+        """Sample an exact shape sparsely.
+
+        Parameters
+        ----------
+        shape
+            Exact distance and texture coordinates; 1-Lipschitz. Charts and parts too, where it is `Charted`.
+        resolution
+            Samples along the longest axis; not used where a lattice is given.
+        uv_mode
+            "grid" or "none".
+        lattice
+            Where to sample; by default the shape's bounds and the band.
+        cube
+            Give every axis the same number of samples.
+
+        Raises
+        ------
+        BadInput
+            For a resolution outside 16..8192, an unknown mode, or a shape that answers with NaN or infinity.
+        """
+        if uv_mode not in ("none", "grid"):
+            raise BadInput(f"uv_mode {uv_mode!r} is not available for exact shapes: use 'none' or 'grid'")
+        if lattice is None:
+            if resolution is None:
+                raise BadInput("neither a resolution nor a lattice was given: give one, such as resolution=64")
+            lattice = Lattice.around(shape.bounds, resolution, cube=cube)
+        found = brick.candidates(lattice, shape.distance)
+        values = brick.sampled(lattice, found[0], shape.distance, _blank(len(found[0]), "distance"))
+        if not np.isfinite(values).all():
+            raise BadInput("the shape's distance is NaN or infinite at some samples: it must be finite everywhere")
+        bricks, kept = brick.settle(lattice, found, values)
+        channels = _surface_channels(shape, lattice, bricks) if uv_mode == "grid" else {}
+        part = _part_channel(shape, lattice, bricks)
+        chart = channels.get("chart")
+        metadata = Metadata(
+            source="function",
+            parts=shape.part_names if isinstance(shape, Charted) else ("surface",),
+            charts=0 if uv_mode == "none" else 1 if chart is None else int(chart.max(initial=0)) + 1,
+            uv_mode="grid" if uv_mode == "grid" else "none",
+            options={"resolution": max(lattice.shape), "cube": cube},
+        )
+        return Grid(lattice, bricks, values[kept], channels.get("uv"), chart, part, metadata)
+
+    @staticmethod
+    def from_dense(values: ArrayLike, *, origin: ArrayLike = (0.0, 0.0, 0.0), spacing: float = 1.0) -> "Grid":
+        """Take anybody's numbers, not necessarily distances.
+
+        Parameters
+        ----------
+        values
+            (nx, ny, nz), indexed [x, y, z], at least 2 along every axis, finite; stored as float32.
+        origin, spacing
+            World position of values[0, 0, 0], and the distance between neighbours.
+
+        Returns
+        -------
+        Grid
+            With all bricks that any kernel needs to find every root; equal to `values` there.
+
+        Raises
+        ------
+        BadInput
+            If the array is not three-dimensional, too small, or not finite.
+        """
+        given = np.asarray(values)
+        if given.ndim != 3 or min(given.shape) < 2 or given.dtype.kind not in "fiu":
+            raise BadInput(
+                f"an array of shape {given.shape} and type {given.dtype} is no grid: give numbers (nx, ny, nz), each "
+                "axis at least 2"
+            )
+        with np.errstate(over="ignore"):  # what float32 cannot hold is refused just below
+            dense = given.astype(np.float32)
+        if not np.isfinite(dense).all():
+            raise BadInput(
+                f"{np.count_nonzero(~np.isfinite(dense))} values of the array are NaN, infinite or beyond float32: "
+                "replace them by finite numbers"
+            )
+        lattice = Lattice(np.asarray(origin, np.float64), spacing, dense.shape)
+        bricks = needed(dense)
+        distance = _blank(len(bricks), "distance")
+        inside = brick.in_lattice(bricks.index, dense.shape)
+        distance[inside] = dense[tuple(brick.sample_index(bricks.index)[inside].T)]
+        return Grid(lattice, bricks, distance, None, None, None, Metadata(source="dense"))
+
+    def save(self, path: str | Path) -> None:
+        """Write the grid to a file, whole or not at all; see `sdfbake.gridfile.save`."""
+        from sdfbake.gridfile import save  # the file imports Grid, so Grid meets it only here
+
+        save(self, path)
+
+    @staticmethod
+    def load(path: str | Path, channels: Collection[str] | None = None) -> "Grid":
+        """Read a grid, or only some of its channels; see `sdfbake.gridfile.load`."""
+        from sdfbake.gridfile import load
+
+        return load(path, channels)
+
+    def to_dense(self) -> Float[np.ndarray, "nx ny nz"]:
+        """Return all samples as one float32 array; absent bricks are filled with their signed bound."""
+        bx, by, bz = self.bricks.slot.shape
+        dense = np.empty((bx, SIDE, by, SIDE, bz, SIDE), np.float32)
+        dense[:] = self.bricks.far[:, None, :, None, :, None]
+        x, y, z = self.bricks.index.T
+        dense[x, :, y, :, z, :] = self.distance
+        nx, ny, nz = self.lattice.shape
+        return dense.reshape(SIDE * bx, SIDE * by, SIDE * bz)[:nx, :ny, :nz]
+
+    def samples(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+        """Return the samples of the exact band.
+
+        Returns
+        -------
+        points, distance
+            World positions, float64, and stored distances, float32, of all samples of the lattice that lie in a brick
+            and at most `BAND` voxels from the surface.
+        """
+        near = np.abs(self.distance) <= BAND * self.lattice.spacing
+        near &= brick.in_lattice(self.bricks.index, self.lattice.shape)
+        slot, i, j, k = np.nonzero(near)
+        at = self.bricks.index[slot].astype(np.int64) * SIDE + np.stack([i, j, k], axis=-1)
+        return self.lattice.to_world(at), self.distance[near]
+
+
+def _blank(count: int, channel: str) -> np.ndarray:
+    """Return a channel of zeros for that many bricks."""
+    width, kind = CHANNELS[channel]
+    return np.zeros((count, SIDE, SIDE, SIDE, *width), kind)
+
+
+def _surface_channels(shape: Shape, lattice: Lattice, bricks: Bricks) -> dict[str, np.ndarray]:
+    """Sample texture coordinates and, where there are any, charts."""
+    channels = {"uv": brick.sampled(lattice, bricks.index, shape.uv, _blank(len(bricks), "uv"))}
+    if not np.isfinite(channels["uv"]).all():
+        raise BadInput("the shape's uv is NaN or infinite at some samples: it must be finite near the surface")
+    if isinstance(shape, Charted):
+        channels["chart"] = brick.sampled(lattice, bricks.index, shape.chart, _blank(len(bricks), "chart"))
+    return channels
+
+
+def _part_channel(shape: Shape, lattice: Lattice, bricks: Bricks) -> Int[np.ndarray, "k 8 8 8"] | None:
+    """Sample part ids where there are several parts."""
+    if not isinstance(shape, Charted) or len(shape.part_names) < 2:
+        return None
+    if len(shape.part_names) > 256:
+        raise BadInput(f"the shape has {len(shape.part_names)} parts: a grid stores at most 256")
+    return brick.sampled(lattice, bricks.index, shape.part, _blank(len(bricks), "part"))

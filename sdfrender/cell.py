@@ -1,0 +1,253 @@
+"""The first root of the interpolant on a ray's way through one cell, certified.
+
+In: where a ray enters and leaves a cell (cell coordinates, 0 to 1), the cell's coefficients, the sign it carries. Out:
+whether there is a root, and an interval that holds just that one; `refine` then finds it to the last digit.
+
+On the segment a + s (e - a), s in [0, 1], the tensor product of three cubics is one polynomial of degree 9 in s. Its
+Bernstein coefficients come without sampling and without a matrix to invert: the coefficients of one axis' weight are
+its polar form at (a,a,a), (a,a,e), (a,e,e), (e,e,e), and the product of Bernstein forms is a convolution of
+coefficients scaled by binomials. A polynomial has at most as many roots as its coefficients change sign (variation
+diminution): 0 changes certify none, 1 certifies one; more are split by de Casteljau.
+
+Rounding. A coefficient below `tolerance` has no sign: it is passed over, and the last decided sign is carried on, from
+cell to cell, so that no root slips through between two cells. docs/tracing.md derives the bound.
+"""
+
+from math import comb, sqrt
+from typing import NamedTuple
+
+from sdfbake.engine import Array, Engine
+from sdfrender.kernels import Kernel
+from sdfrender.vector import Vector
+
+Polynomial = tuple[Array, ...]  # Bernstein coefficients on [0, 1]
+
+
+class Bracket(NamedTuple):
+    """An interval of s with one root, and the sign before it."""
+
+    found: Array
+    low: Array
+    high: Array
+    before: Array
+
+
+def tolerance(eps: float, kernel: Kernel, largest: float, steepest: float, samples: int) -> float:
+    """Bound the rounding of a Bernstein coefficient (docs/tracing.md).
+
+    Parameters
+    ----------
+    eps
+        Distance from 1 to the next float.
+    kernel
+        The kernel; its overlap enters once per axis.
+    largest
+        Greatest |net coefficient| over the cells that may hold surface.
+    steepest
+        Greatest difference of two net coefficients of one such cell.
+    samples
+        Samples along the longest axis: positions along a ray round relative to this.
+    """
+    sums = 48 * largest * kernel.overlap**3
+    positions = 4 * samples * min(steepest, 2 * largest) * kernel.degree / 9
+    return eps / 2 * (sums + max(positions, 0.0))
+
+
+def ray_polynomial(xp: Engine, kernel: Kernel, coefficients: list[Array], enter: Vector, leave: Vector) -> Polynomial:
+    """Return the interpolant along a segment of a cell as Bernstein coefficients.
+
+    Parameters
+    ----------
+    xp
+        The engine.
+    kernel
+        The kernel.
+    coefficients
+        The cell's coefficients, taps^3 arrays, z fastest.
+    enter, leave
+        The segment's ends in cell coordinates, clamped to [0, 1].
+    """
+    taps = kernel.taps
+    by_axis = [_scaled_weights(xp, kernel, enter[axis], leave[axis]) for axis in range(3)]
+    whole: list[Array] | None = None
+    for i in range(taps):
+        plane: list[Array] | None = None
+        for j in range(taps):
+            row = coefficients[(i * taps + j) * taps : (i * taps + j + 1) * taps]
+            line = [_combine(xp, row, [w[r] for w in by_axis[2]]) for r in range(kernel.degree + 1)]
+            plane = _convolve(xp, plane, line, by_axis[1][j])
+        assert plane is not None
+        whole = _convolve(xp, whole, plane, by_axis[0][i])
+    assert whole is not None
+    degree = len(whole) - 1
+    return tuple(value * (1.0 / comb(degree, r)) for r, value in enumerate(whole))
+
+
+def _scaled_weights(xp: Engine, kernel: Kernel, a: Array, e: Array) -> list[list[Array]]:
+    """Per tap, the weight's Bernstein coefficients on [a, e], each times its binomial."""
+    if kernel.degree == 1:
+        return [[1.0 - a, 1.0 - e], [a, e]]
+    aa, ae, ee = a * a, a * e, e * e
+    linear = (3.0 * a, 2.0 * a + e, a + 2.0 * e, 3.0 * e)
+    square = (3.0 * aa, aa + 2.0 * ae, ee + 2.0 * ae, 3.0 * ee)
+    cubic = (aa * a, aa * e, a * ee, ee * e)
+    rows = []
+    for c0, c1, c2, c3 in kernel.weights.tolist():
+        row = []
+        for r, binomial in enumerate((1.0, 3.0, 3.0, 1.0)):
+            value = cubic[r] * (c3 * binomial)
+            value = xp.fma(square[r], c2 * binomial / 3.0, value) if c2 else value
+            value = xp.fma(linear[r], c1 * binomial / 3.0, value) if c1 else value
+            row.append(value + c0 * binomial if c0 else value)
+        rows.append(row)
+    return rows
+
+
+def _combine(xp: Engine, values: list[Array], weights: list[Array]) -> Array:
+    total = values[0] * weights[0]
+    for value, weight in zip(values[1:], weights[1:], strict=True):
+        total = xp.fma(value, weight, total)
+    return total
+
+
+def _convolve(xp: Engine, total: list[Array] | None, a: list[Array], b: list[Array]) -> list[Array]:
+    """Add the product of two scaled Bernstein forms to a third."""
+    sums: list[Array | None] = list(total) if total is not None else [None] * (len(a) + len(b) - 1)
+    for i, x in enumerate(a):
+        for j, y in enumerate(b):
+            so_far = sums[i + j]
+            sums[i + j] = x * y if so_far is None else xp.fma(x, y, so_far)
+    return sums
+
+
+def sign_changes(xp: Engine, polynomial: Polynomial, sign: Array, bound: float) -> tuple[Array, Array]:
+    """Count the sign changes of (sign, coefficients), passing over |b| <= bound; also return the last sign."""
+    changes = xp.full(polynomial[0], 0)
+    for value in polynomial:
+        positive, negative = value > bound, value < -bound
+        changes = changes + xp.integer((positive & (sign < 0)) | (negative & (sign > 0)))
+        sign = xp.where(positive, 1.0, xp.where(negative, -1.0, sign))
+    return changes, sign
+
+
+class _Split(NamedTuple):
+    """State of the search: the rest of the segment from `low` on, of which the share `cut` is tried next."""
+
+    working: Array
+    bracket: Bracket
+    cut: Array
+    rest: Polynomial
+
+
+def isolate(xp: Engine, polynomial: Polynomial, sign: Array, bound: float, active: Array) -> tuple[Bracket, Array]:
+    """Find an interval with the first root only.
+
+    Parameters
+    ----------
+    xp
+        The engine.
+    polynomial
+        Bernstein coefficients on [0, 1].
+    sign
+        Sign carried from before the segment: -1, 1, or 0 where it is not known yet.
+    bound
+        Rounding bound of a coefficient.
+    active
+        Rays that ask.
+
+    Returns
+    -------
+    Bracket
+        Where the first root is.
+    Array
+        The sign after the segment.
+    """
+    changes, after = sign_changes(xp, polynomial, sign, bound)
+    odd = (changes & 1) == 1
+    before = xp.where(sign == 0, xp.where(odd, -after, after), sign)
+    zero, one = xp.full(polynomial[0], 0.0), xp.full(polynomial[0], 1.0)
+    start = _Split(
+        xp.integer(active & (changes >= 2)),
+        Bracket(active & (changes == 1), zero, one, before),
+        xp.full(polynomial[0], 0.5),
+        polynomial,
+    )
+    smallest = sqrt(xp.eps)  # below, a bulge that the coefficients show is under the rounding bound itself
+
+    def halve(state: _Split, _: tuple[Array, ...]) -> _Split:
+        found, low, _high, before = state.bracket
+        left, right = _de_casteljau(xp, state.rest, state.cut)
+        changes, after = sign_changes(xp, left, before, bound)
+        end = xp.fma(state.cut, 1.0 - low, low)
+        tiny = state.cut * (1.0 - low) < smallest
+        here = (changes == 1) | ((changes >= 2) & tiny)
+        none, whole = changes == 0, state.cut >= 1.0
+        go_on = none & ~whole
+        bracket = Bracket(
+            found | here,
+            xp.where(go_on, end, low),
+            xp.where(here, end, state.bracket.high),
+            xp.where(go_on, after, before),
+        )
+        rest = tuple(xp.where(go_on, new, old) for new, old in zip(right, state.rest, strict=True))
+        cut = xp.where(go_on, 1.0, state.cut * 0.5)
+        return _Split(xp.integer(~(here | (none & whole))), bracket, cut, rest)
+
+    end = xp.while_loop(lambda state: state.working > 0, halve, start)
+    return end.bracket, after
+
+
+def _de_casteljau(xp: Engine, polynomial: Polynomial, at: Array) -> tuple[Polynomial, Polynomial]:
+    """Split Bernstein coefficients into those left and right of a parameter."""
+    row = list(polynomial)
+    left, right = [row[0]], [row[-1]]
+    while len(row) > 1:
+        row = [xp.fma(at, row[i + 1] - row[i], row[i]) for i in range(len(row) - 1)]
+        left.append(row[0])
+        right.append(row[-1])
+    return tuple(left), tuple(reversed(right))
+
+
+class _Newton(NamedTuple):
+    """State of the refinement."""
+
+    working: Array
+    s: Array
+    low: Array
+    high: Array
+
+
+def refine(xp: Engine, polynomial: Polynomial, bracket: Bracket) -> Array:
+    """Return the root in the bracket to two units in the last place, by Newton's method inside bisection."""
+    degree = len(polynomial) - 1
+    value_form = tuple(b * float(comb(degree, r)) for r, b in enumerate(polynomial))
+    slope_form = tuple(
+        (polynomial[r + 1] - polynomial[r]) * float(degree * comb(degree - 1, r)) for r in range(degree)
+    )
+    found, low, high, before = bracket
+    middle = 0.5 * (low + high)
+    secant = polynomial[0] / (polynomial[0] - polynomial[-1])
+    usable = (low == 0.0) & (high == 1.0) & (secant > low) & (secant < high)
+    start = _Newton(xp.integer(found), xp.where(usable, secant, middle), low, high)
+
+    def step(state: _Newton, constants: tuple[Polynomial, Polynomial, Array]) -> _Newton:
+        values, slopes, before = constants
+        value, slope = _horner(xp, values, state.s), _horner(xp, slopes, state.s)
+        not_yet = value * before > 0
+        low, high = xp.where(not_yet, state.s, state.low), xp.where(not_yet, state.high, state.s)
+        newton = state.s - value / slope
+        s = xp.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+        done = (xp.abs(s - state.s) <= 2 * xp.eps) | (high - low <= 2 * xp.eps) | (value == 0)
+        return _Newton(xp.integer(~done), s, low, high)
+
+    return xp.while_loop(lambda state: state.working > 0, step, start, (value_form, slope_form, before)).s
+
+
+def _horner(xp: Engine, scaled: Polynomial, s: Array) -> Array:
+    """Evaluate a scaled Bernstein form."""
+    rest = 1.0 - s
+    total, power = scaled[0], s
+    for coefficient in scaled[1:]:
+        total = xp.fma(total, rest, coefficient * power)
+        power = power * s
+    return total

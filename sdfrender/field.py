@@ -1,0 +1,97 @@
+"""What the renderer asks of a surface, be it a grid or an exact shape.
+
+In: rays and places on the surface as engine arrays, world units, relative to the field's `anchor` (so that float32
+sees no large offsets). Out: first hits, jets, texture coordinates. `sdfrender.gridfield` answers from a grid.
+"""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from sdfbake.engine import Array, Engine
+from sdfrender.vector import Symmetric, Vector
+
+
+class Spot(NamedTuple):
+    """Where a ray met the surface.
+
+    Attributes
+    ----------
+    hit
+        Mask: False where there is nothing.
+    t
+        Ray parameter, in units of the direction's length; 0 where there is nothing.
+    p
+        Position relative to the field's anchor.
+    locator
+        What the field needs to answer more questions about the place; nobody else looks into it.
+    """
+
+    hit: Array
+    t: Array
+    p: Vector
+    locator: tuple[Array, ...]
+
+
+class Jet(NamedTuple):
+    """Value and derivatives of the signed distance, world frame; None above the order that was asked for."""
+
+    value: Array
+    gradient: Vector | None = None
+    hessian: Symmetric | None = None
+
+
+class Mapped(NamedTuple):
+    """Texture coordinates at a place: value, gradients of u and of v in space, chart, whether a seam is near."""
+
+    u: Array
+    v: Array
+    du: Vector
+    dv: Vector
+    chart: Array
+    seam: Array
+
+
+class Field(Protocol):
+    """A surface that rays can be traced against."""
+
+    @property
+    def engine(self) -> Engine:
+        """The engine whose arrays it takes."""
+        ...
+
+    @property
+    def anchor(self) -> Float[np.ndarray, " 3"]:
+        """The world point that positions are relative to."""
+        ...
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """World box outside which there is no surface."""
+        ...
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of the parts."""
+        ...
+
+    def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
+        """Find where rays first meet the surface; rays with a `start` leave that place and do not meet it again."""
+        ...
+
+    def locate(self, xp: Engine, p: Vector, active: Array) -> Spot:
+        """Turn positions into places to ask about."""
+        ...
+
+    def jet(self, xp: Engine, spot: Spot, order: int) -> Jet:
+        """Signed distance at a place: value, gradient from order 1, Hessian from order 2."""
+        ...
+
+    def uv(self, xp: Engine, spot: Spot) -> Mapped:
+        """Texture coordinates at a place."""
+        ...
+
+    def part(self, xp: Engine, spot: Spot) -> Array:
+        """Part id at a place."""
+        ...

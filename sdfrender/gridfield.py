@@ -1,0 +1,340 @@
+"""A grid asset as a surface for rays.
+
+In: a `Grid`, a kernel, an engine. Out: a `Field`: certified first hits, jets (Galim 2018, eq. 13 to 19), interpolated
+texture coordinates (eq. 22, 23). Only what is asked for is prepared: no UV table unless texture coordinates are used.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from sdfbake.complaint import BadInput
+from sdfbake.engine import Array, Choice, Engine, choose
+from sdfbake.grid import Grid
+from sdfrender.cell import tolerance
+from sdfrender.field import Jet, Mapped, Spot
+from sdfrender.kernels import Kernel, kernel
+from sdfrender.march import SIDE, Found, Tables, base_of, brick_of, cell_of, march, place_in, stencil
+from sdfrender.stencils import INCOMPLETE, channel_coefficients, stencils
+from sdfrender.vector import Symmetric, Vector
+
+# Which derivative of each axis' weights makes which entry of a jet.
+_ORDERS = {
+    0: ((0, 0, 0),),
+    1: ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    2: ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (1, 0, 1), (0, 1, 1)),
+}
+
+
+class GridField:
+    """The zero set of a grid's interpolant.
+
+    Parameters
+    ----------
+    grid
+        The asset.
+    kernel
+        `bspline`, `catmull-rom` or `linear`, or a `Kernel`.
+    engine, precision
+        As for `sdfbake.engine.choose`.
+
+    Raises
+    ------
+    BadInput
+        For an unknown kernel, engine or precision.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sdfbake import Grid
+    >>> axis = np.linspace(-1.0, 1.0, 24)
+    >>> x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    >>> ball = Grid.from_dense(np.sqrt(x**2 + y**2 + z**2) - 0.6, origin=[-1.0] * 3, spacing=axis[1] - axis[0])
+    >>> field = GridField(ball, engine="numpy")
+    >>> value, gradient, hessian = field.jet(np.array([[0.6, 0.0, 0.0]]))
+    >>> bool(abs(value[0]) < 1e-4)
+    True
+    """
+
+    def __init__(
+        self, grid: Grid, kernel: str | Kernel = "bspline", engine: str | Choice = "auto", precision: int | None = None
+    ) -> None:
+        self.grid = grid
+        self.kernel = _kernel(kernel)
+        self.choice = choose(engine, precision) if isinstance(engine, str) else engine
+        self.engine: Engine = self.choice.engine
+        self._tables = _tables(grid, self.kernel, self.engine)
+        self._far = self.engine.table(grid.bricks.far)
+        self._charts = _ids(grid.chart, self.engine)
+        self._parts = _ids(grid.part, self.engine)
+        self._uv: tuple[Array, Array] | None = None
+        middle = (np.array(grid.lattice.shape) - 1) / 2
+        self.anchor: Float[np.ndarray, " 3"] = grid.lattice.to_world(middle)
+        self._middle = [self.engine.uniform(float(m)) for m in middle]
+        self._per_voxel = self.engine.uniform(1.0 / grid.lattice.spacing)
+        self._spacing = self.engine.uniform(grid.lattice.spacing)
+
+    @property
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """World box of the lattice."""
+        return self.grid.lattice.bounds
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of the grid's parts."""
+        return tuple(self.grid.metadata.parts)
+
+    @property
+    def is_distance(self) -> bool:
+        """Whether the samples are distances, so that a gradient far from unit means an edge."""
+        return self.grid.metadata.source != "dense"
+
+    def _to_grid(self, p: Vector) -> Vector:
+        x, y, z = (p[a] * self._per_voxel + self._middle[a] for a in range(3))
+        return x, y, z
+
+    def _to_local(self, cell: tuple[Array, ...], u: Vector) -> Vector:
+        xp = self.engine
+        x, y, z = (((xp.real(cell[a]) - self._middle[a]) + u[a]) * self._spacing for a in range(3))
+        return x, y, z
+
+    def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
+        """Find first hits; see `Field.first_hit`."""
+        along = (d[0] * self._per_voxel, d[1] * self._per_voxel, d[2] * self._per_voxel)
+        if start is None:
+            found = march(xp, self._tables, self._to_grid(p), along, active)
+        else:
+            place = Found(*start.locator)
+            x, y, z = (xp.real(place.cell[a]) + place.u[a] for a in range(3))
+            found = march(xp, self._tables, (x, y, z), along, active, place)
+        return Spot(found.hit, found.t, self._to_local(found.cell, found.u), tuple(found))
+
+    def locate(self, xp: Engine, p: Vector, active: Array) -> Spot:
+        """Turn positions into places; `hit` is False outside the bricks, where there are bounds only."""
+        g = self._to_grid(p)
+        cell = cell_of(xp, self._tables, g)
+        slot, local = brick_of(xp, self._tables, cell, active)
+        kind = xp.gather(self._tables.cells, slot * SIDE**3 + local, active & (slot >= 0))
+        known = active & (slot >= 0)
+        found = Found(known, xp.full(p[0], 0.0), cell, place_in(xp, g, cell), base_of(xp, self._tables, cell, known))
+        return Spot(known & (kind != INCOMPLETE), found.t, p, tuple(found))
+
+    def jet(self, *arguments: Any, order: int = 2) -> Any:
+        """Signed distance and derivatives at points, or, within a program, at a place.
+
+        Parameters
+        ----------
+        points
+            (n, 3) float64, world frame.
+        order
+            0 for the value, 1 for the gradient too, 2 for the Hessian too.
+
+        Returns
+        -------
+        value
+            (n,) float64, world units. Where no brick is, the signed lower bound that the grid keeps there.
+        gradient, hessian
+            (n, 3) and (n, 3, 3), per world unit; 0 where no brick is. Left out above `order`.
+        """
+        if len(arguments) == 1:
+            return self._jet_of_points(np.asarray(arguments[0], float), order)
+        xp, spot, order = arguments
+        return self._jet(xp, spot, order)
+
+    def _jet(self, xp: Engine, spot: Spot, order: int) -> Jet:
+        found = Found(*spot.locator)
+        taps = stencil(xp, self._tables, found.base, found.hit)
+        value, *rest = _contract(xp, self.kernel, taps, found.u, order)
+        scale = self._per_voxel
+        gradient = (rest[0] * scale, rest[1] * scale, rest[2] * scale) if order > 0 else None
+        hessian = Symmetric(*(entry * (scale * scale) for entry in rest[3:])) if order > 1 else None
+        return Jet(value, gradient, hessian)
+
+    def _jet_of_points(self, points: Float[np.ndarray, "n 3"], order: int) -> tuple[np.ndarray, ...]:
+        def program(xp: Engine, *p: Array) -> dict[str, Array]:
+            everywhere = xp.full(p[0], True)
+            spot = self.locate(xp, (p[0], p[1], p[2]), everywhere)
+            known = Found(*spot.locator).hit
+            jet = self._jet(xp, spot, order)
+            entries = [jet.value, *(jet.gradient or ()), *(jet.hessian or ())]
+            kept = [xp.where(known, entry, 0.0) for entry in entries]
+            x, y, z = (c >> 3 for c in Found(*spot.locator).cell)
+            bound = xp.gather(self._far, (x * self._tables.bricks[1] + y) * self._tables.bricks[2] + z, everywhere)
+            kept[0] = xp.where(known, entries[0], bound)
+            return {str(i): entry for i, entry in enumerate(kept)}
+
+        out = self.engine.run(program, list((points - self.anchor).T))
+        columns = [out[str(i)].astype(np.float64) for i in range(len(out))]
+        value, gradient = columns[0], np.stack(columns[1:4], axis=-1) if order > 0 else None
+        if order < 2:
+            return (value,) if gradient is None else (value, gradient)
+        xx, yy, zz, xy, xz, yz = columns[4:]
+        hessian = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
+        return value, gradient, hessian
+
+    def uv(self, *arguments: Any) -> Any:
+        """Texture coordinates at points, or, within a program, at a place (Galim 2018, eq. 22, 23).
+
+        Parameters
+        ----------
+        points
+            (n, 3) float64, world frame, near the surface.
+
+        Returns
+        -------
+        uv
+            (n, 2) float64.
+        gradient
+            (n, 2, 3) float64, per world unit.
+        chart
+            (n,) int64, the chart of the nearest sample.
+
+        Raises
+        ------
+        BadInput
+            If the grid was baked without texture coordinates.
+        """
+        if len(arguments) == 1:
+            return self._uv_of_points(np.asarray(arguments[0], float))
+        xp, spot = arguments
+        return self._mapped(xp, spot)
+
+    def _mapped(self, xp: Engine, spot: Spot) -> Mapped:
+        found = Found(*spot.locator)
+        parts = []
+        for table in self._uv_tables():
+            taps = stencil(xp, _with(self._tables, table), found.base, found.hit)
+            value, x, y, z = _contract(xp, self.kernel, taps, found.u, 1)
+            parts.append((value, (x * self._per_voxel, y * self._per_voxel, z * self._per_voxel)))
+        chart, seam = self._chart(xp, found)
+        return Mapped(parts[0][0], parts[1][0], parts[0][1], parts[1][1], chart, seam)
+
+    def _uv_of_points(self, points: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def program(xp: Engine, *p: Array) -> dict[str, Array]:
+            spot = self.locate(xp, (p[0], p[1], p[2]), xp.full(p[0], True))
+            mapped = self._mapped(xp, spot)
+            entries = [mapped.u, mapped.v, *mapped.du, *mapped.dv]
+            named = {str(i): xp.where(spot.hit, entry, 0.0) for i, entry in enumerate(entries)}
+            return {**named, "chart": mapped.chart}
+
+        out = self.engine.run(program, list((points - self.anchor).T))
+        columns = np.stack([out[str(i)] for i in range(8)], axis=-1).astype(np.float64)
+        return columns[:, :2], columns[:, 2:].reshape(-1, 2, 3), out["chart"].astype(np.int64)
+
+    def part(self, xp: Engine, spot: Spot) -> Array:
+        """Part of the nearest sample."""
+        if self._parts is None:
+            return xp.full(spot.t, 0)
+        found = Found(*spot.locator)
+        return self._sample(xp, self._parts, found, [u >= 0.5 for u in found.u])
+
+    def _chart(self, xp: Engine, found: Found) -> tuple[Array, Array]:
+        """Chart of the nearest sample, and whether the cell's corners disagree."""
+        if self._charts is None:
+            return xp.full(found.t, 0), xp.full(found.t, False)
+        low, high = xp.full(found.t, False), xp.full(found.t, True)
+        corners = [
+            self._sample(xp, self._charts, found, [low if o == 0 else high for o in (i, j, k)])
+            for i in (0, 1)
+            for j in (0, 1)
+            for k in (0, 1)
+        ]
+        seam = low
+        for corner in corners[1:]:
+            seam = seam | (corner != corners[0])
+        return self._sample(xp, self._charts, found, [u >= 0.5 for u in found.u]), seam & found.hit
+
+    def _sample(self, xp: Engine, table: Array, found: Found, upper: Sequence[Array]) -> Array:
+        """Look up a per-sample channel at a corner of the cell."""
+        x, y, z = (c + xp.integer(up) for c, up in zip(found.cell, upper, strict=True))
+        slot, local = brick_of(xp, self._tables, (x, y, z), found.hit)
+        return xp.gather(table, slot * SIDE**3 + local, found.hit & (slot >= 0))
+
+    def _uv_tables(self) -> tuple[Array, Array]:
+        if self._uv is None:
+            if self.grid.uv is None:
+                raise BadInput("the grid has no texture coordinates: bake it with --uv-mode grid")
+            lattice, bricks = self.grid.lattice, self.grid.bricks
+            u, v = (
+                self.engine.table(channel_coefficients(self.grid.uv[..., c], bricks, lattice.shape, self.kernel))
+                for c in (0, 1)
+            )
+            self._uv = (u, v)
+        return self._uv
+
+
+def _kernel(wish: str | Kernel) -> Kernel:
+    return wish if isinstance(wish, Kernel) else kernel(wish)
+
+
+def _ids(channel: Int[np.ndarray, "k 8 8 8"] | None, engine: Engine) -> Array | None:
+    return None if channel is None else engine.table(channel)
+
+
+def _tables(grid: Grid, kernel: Kernel, engine: Engine) -> Tables:
+    """Prepare what a march looks up."""
+    shape = grid.lattice.shape
+    made = stencils(grid.distance, grid.bricks, shape, kernel, engine.eps)
+    bound = tolerance(engine.eps, kernel, made.largest, made.steepest, max(shape))
+    samples = tuple(engine.uniform(int(n)) for n in shape)
+    bricks = tuple(engine.uniform(int(n)) for n in grid.bricks.slot.shape)
+    return Tables(
+        kernel,
+        engine.table(grid.bricks.slot),
+        engine.table(made.cells),
+        engine.table(made.coefficients),
+        samples,  # type: ignore[arg-type]
+        bricks,  # type: ignore[arg-type]
+        engine.uniform(bound),
+    )
+
+
+def _with(tables: Tables, coefficients: Array) -> Tables:
+    """Return the same cells with another channel's coefficients."""
+    return Tables(
+        tables.kernel, tables.slots, tables.cells, coefficients, tables.samples, tables.bricks, tables.bound
+    )
+
+
+def _contract(xp: Engine, kernel: Kernel, taps: list[Array], u: Vector, order: int) -> list[Array]:
+    """Sum the taps with the weights and their derivatives, one axis after the other (Galim 2018, eq. 10, 14, 18)."""
+    n = kernel.taps
+    weights = [[_weights(xp, kernel, u[axis], o) for o in range(order + 1)] for axis in range(3)]
+    wanted = _ORDERS[order]
+    lines = sorted({(y, z) for _, y, z in wanted})
+    totals: dict[tuple[int, int, int], Array] = {}
+    for i in range(n):
+        plane: dict[tuple[int, int], Array] = {}
+        for j in range(n):
+            row = taps[(i * n + j) * n : (i * n + j + 1) * n]
+            along_z = [_sum(xp, row, weights[2][o]) for o in range(order + 1)]
+            for y, z in lines:
+                _add(xp, plane, (y, z), along_z[z], weights[1][y][j])
+        for x, y, z in wanted:
+            _add(xp, totals, (x, y, z), plane[y, z], weights[0][x][i])
+    return [totals[key] for key in wanted]
+
+
+def _add(xp: Engine, sums: dict[Any, Array], key: tuple[int, ...], value: Array, weight: Array) -> None:
+    """Accumulate into a caller's own dictionary."""
+    sums[key] = xp.fma(value, weight, sums[key]) if key in sums else value * weight
+
+
+def _sum(xp: Engine, values: list[Array], weights: list[Array]) -> Array:
+    total = values[0] * weights[0]
+    for value, weight in zip(values[1:], weights[1:], strict=True):
+        total = xp.fma(value, weight, total)
+    return total
+
+
+def _weights(xp: Engine, kernel: Kernel, u: Array, order: int) -> list[Array]:
+    """Evaluate every tap's weight, or a derivative of it, by Horner's rule."""
+    values = []
+    for row in kernel.derivative(order).tolist():
+        value = xp.full(u, float(row[-1]))
+        for coefficient in reversed(row[:-1]):
+            value = value * u + float(coefficient)
+        values.append(value)
+    return values

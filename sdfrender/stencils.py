@@ -1,0 +1,202 @@
+"""Bricks of samples turned into what a kernel reads at render time.
+
+In: a channel of a grid and a kernel. Out: per brick the coefficients of its 8^3 cells with the apron that their
+stencils need, prefiltered; and which cells may hold surface, certified by the Bezier net.
+
+A stencil that leaves the lattice continues linearly. A stencil that reaches an absent brick is incomplete: by the
+band's width such a cell holds no surface (Galim 2018 stores all samples; here only those near the surface exist).
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from sdfbake.bricks import SIDE, Bricks
+from sdfrender.kernels import Kernel
+
+HALO_LOW, HALO_HIGH = 2, 3  # samples beyond a brick's own that the widest stencil and its prefilter touch
+PADDED = SIDE + HALO_LOW + HALO_HIGH
+INCOMPLETE, EMPTY, OCCUPIED = 0, 1, 2  # what a cell can be
+_CHUNK = 512  # bricks at once: 9 MB of padded float64 samples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stencils:
+    """What a kernel reads of the bricks of one channel.
+
+    Attributes
+    ----------
+    coefficients
+        (k, S, S, S) float64, S = 7 + taps: coefficients of a brick's cells, starting at the kernel's first tap.
+    cells
+        (k, 8, 8, 8) uint8: INCOMPLETE, EMPTY or OCCUPIED.
+    largest, steepest
+        Greatest |net coefficient|, and greatest difference of two, over the occupied cells.
+    """
+
+    coefficients: Float[np.ndarray, "k S S S"]
+    cells: Int[np.ndarray, "k 8 8 8"]
+    largest: float
+    steepest: float
+
+
+def stencils(
+    values: Float[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int], kernel: Kernel, eps: float
+) -> Stencils:
+    """Prepare the distance channel: coefficients and occupied cells.
+
+    Parameters
+    ----------
+    values
+        Signed distances, world units.
+    bricks
+        Where the bricks lie.
+    shape
+        Samples of the lattice.
+    kernel
+        The kernel.
+    eps
+        Distance from 1 to the next float in the precision that will trace: widens the test for surface.
+    """
+    size = SIDE - 1 + kernel.taps
+    coefficients = np.empty((len(bricks), size, size, size))
+    cells = np.empty((len(bricks), SIDE, SIDE, SIDE), np.uint8)
+    largest = steepest = 0.0
+    for start in range(0, len(bricks), _CHUNK):
+        index = bricks.index[start : start + _CHUNK]
+        exact = _coefficients(_padded(values, bricks, index, shape, absent="nan"), kernel)
+        kinds, top, steep = _classify(exact, kernel, eps)
+        kinds[~_has_cell(index, shape)] = INCOMPLETE
+        unknown = np.isnan(exact)
+        if unknown.any():
+            bound = _window(_padded(values, bricks, index, shape, absent="far"), kernel)
+            exact[unknown] = bound[unknown]
+        coefficients[start : start + _CHUNK], cells[start : start + _CHUNK] = exact, kinds
+        largest, steepest = max(largest, top), max(steepest, steep)
+    return Stencils(coefficients, cells, largest, steepest)
+
+
+def channel_coefficients(
+    values: Float[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int], kernel: Kernel
+) -> Float[np.ndarray, "k S S S"]:
+    """Prepare another channel (a texture coordinate): its coefficients, 0 where a stencil is incomplete."""
+    size = SIDE - 1 + kernel.taps
+    out = np.empty((len(bricks), size, size, size))
+    for start in range(0, len(bricks), _CHUNK):
+        index = bricks.index[start : start + _CHUNK]
+        exact = _coefficients(_padded(values, bricks, index, shape, absent="nan"), kernel)
+        out[start : start + _CHUNK] = np.nan_to_num(exact, nan=0.0)
+    return out
+
+
+def _padded(
+    values: Float[np.ndarray, "k 8 8 8"],
+    bricks: Bricks,
+    index: Int[np.ndarray, "m 3"],
+    shape: tuple[int, int, int],
+    absent: str,
+) -> Float[np.ndarray, "m 13 13 13"]:
+    """Gather bricks with their neighbours' samples around them; absent ones are NaN or the far bound."""
+    table = np.pad(bricks.slot, 1, constant_values=-1)
+    far = np.pad(bricks.far, 1)
+    out = np.full((len(index), PADDED, PADDED, PADDED), np.nan)
+    spans = {
+        -1: (slice(0, HALO_LOW), slice(SIDE - HALO_LOW, SIDE)),
+        0: (slice(HALO_LOW, HALO_LOW + SIDE), slice(0, SIDE)),
+        1: (slice(HALO_LOW + SIDE, PADDED), slice(0, HALO_HIGH)),
+    }
+    for offset in product((-1, 0, 1), repeat=3):
+        neighbour = tuple((index + 1 + np.array(offset)).T)
+        slot = table[neighbour]
+        present = slot >= 0
+        to = tuple(spans[o][0] for o in offset)
+        block = values[(slot[present], *(spans[o][1] for o in offset))].astype(np.float64)
+        out[(np.flatnonzero(present)[:, None, None, None], *np.ix_(*(np.arange(PADDED)[s] for s in to)))] = block
+        if absent == "far":
+            out[(slice(None), *to)][~present] = far[neighbour][~present][:, None, None, None]
+    for axis in range(3):
+        _continue_linearly(out, index[:, axis] * SIDE - HALO_LOW, shape[axis], axis + 1)
+    return out
+
+
+def _continue_linearly(padded: Float[np.ndarray, "m 13 13 13"], first: Int[np.ndarray, " m"], count: int, axis: int) -> None:
+    """Continue blocks of one caller's array past the lattice's first and last sample along an axis, in place."""
+    blocks = np.moveaxis(padded, axis, 1)
+    for start in np.unique(first[(first < 0) | (first + PADDED > count)]):
+        rows = first == start
+        part = blocks[rows]
+        at = start + np.arange(PADDED)
+        for outside, edge, inner in ((at < 0, 0, 1), (at >= count, count - 1, count - 2)):
+            if not outside.any():
+                continue
+            step = (at[outside] - edge) * (edge - inner)
+            base, slope = part[:, edge - start, None], part[:, edge - start, None] - part[:, inner - start, None]
+            part[:, outside] = base + step[:, None, None] * slope
+        blocks[rows] = part
+
+
+def _coefficients(padded: Float[np.ndarray, "m 13 13 13"], kernel: Kernel) -> Float[np.ndarray, "m S S S"]:
+    """Prefilter along each axis and keep what the kernel reads."""
+    if kernel.filtered:
+        low, middle, high = kernel.prefilter
+        for axis in (1, 2, 3):
+            moved = np.moveaxis(padded, axis, -1)
+            inner = low * moved[..., :-2] + middle * moved[..., 1:-1] + high * moved[..., 2:]
+            padded = np.moveaxis(np.pad(inner, [(0, 0)] * 3 + [(1, 1)], constant_values=np.nan), -1, axis)
+    return _window(padded, kernel)
+
+
+def _window(padded: Float[np.ndarray, "m 13 13 13"], kernel: Kernel) -> Float[np.ndarray, "m S S S"]:
+    first = HALO_LOW + kernel.first
+    kept = slice(first, first + SIDE - 1 + kernel.taps)
+    return np.ascontiguousarray(padded[:, kept, kept, kept])
+
+
+def _classify(
+    coefficients: Float[np.ndarray, "m S S S"], kernel: Kernel, eps: float
+) -> tuple[Int[np.ndarray, "m 8 8 8"], float, float]:
+    """Say of every cell whether it may hold surface; also the greatest net coefficient and difference of two.
+
+    First by the extremes of the taps, widened by the kernel's overlap; what is left, by the Bezier net: surface only
+    if the net reaches from below m to above -m, m = 64 eps max |net|, its rounding.
+    """
+    low, high = _extremes(coefficients, kernel.taps, np.minimum), _extremes(coefficients, kernel.taps, np.maximum)
+    widened = (kernel.overlap**3 - 1) / 2 * (high - low) + 64 * eps * np.maximum(np.abs(low), np.abs(high))
+    kinds = np.where(np.isnan(low), INCOMPLETE, EMPTY).astype(np.uint8)
+    brick, i, j, k = np.nonzero((low - widened <= 0) & (high + widened >= 0))
+    largest = steepest = 0.0
+    taps = np.arange(kernel.taps)
+    for start in range(0, len(brick), 65536):
+        part = slice(start, start + 65536)
+        cube = coefficients[
+            brick[part, None, None, None],
+            (i[part, None] + taps)[:, :, None, None],
+            (j[part, None] + taps)[:, None, :, None],
+            (k[part, None] + taps)[:, None, None, :],
+        ]
+        net = np.einsum("nijk,ai,bj,ck->nabc", cube, kernel.bezier, kernel.bezier, kernel.bezier, optimize=True)
+        least, most = net.min(axis=(1, 2, 3)), net.max(axis=(1, 2, 3))
+        size = np.maximum(np.abs(least), np.abs(most))
+        margin = 64 * eps * size
+        may = (least <= margin) & (most >= -margin)
+        kinds[brick[part][may], i[part][may], j[part][may], k[part][may]] = OCCUPIED
+        largest, steepest = max(largest, size[may].max(initial=0)), max(steepest, (most - least)[may].max(initial=0))
+    return kinds, float(largest), float(steepest)
+
+
+def _extremes(coefficients: Float[np.ndarray, "m S S S"], taps: int, least: np.ufunc) -> Float[np.ndarray, "m 8 8 8"]:
+    """Least or greatest tap of every cell; NaN where a tap is."""
+    for axis in (1, 2, 3):
+        parts = [np.take(coefficients, np.arange(tap, tap + SIDE), axis=axis) for tap in range(taps)]
+        coefficients = parts[0]
+        for part in parts[1:]:
+            coefficients = least(coefficients, part)
+    return coefficients
+
+
+def _has_cell(index: Int[np.ndarray, "m 3"], shape: tuple[int, int, int]) -> np.ndarray:
+    """Say which cells of some bricks lie in the lattice: cell i reaches from sample i to i + 1."""
+    x, y, z = ((index[:, axis, None] * SIDE + np.arange(SIDE)) < shape[axis] - 1 for axis in range(3))
+    return x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]
