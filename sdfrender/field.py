@@ -72,6 +72,11 @@ class Field(Protocol):
         ...
 
     @property
+    def is_distance(self) -> bool:
+        """Whether it is a distance, whose gradient has unit length away from edges."""
+        ...
+
+    @property
     def part_names(self) -> tuple[str, ...]:
         """Names of the parts."""
         ...
@@ -84,14 +89,14 @@ class Field(Protocol):
         """Turn positions into places to ask about."""
         ...
 
-    def jet(self, xp: Engine, spot: Spot, order: int) -> Jet:
+    def jet_at(self, xp: Engine, spot: Spot, order: int) -> Jet:
         """Signed distance at a place: value, gradient from order 1, Hessian from order 2."""
         ...
 
-    def uv(self, xp: Engine, spot: Spot) -> Mapped:
+    def uv_at(self, xp: Engine, spot: Spot) -> Mapped:
         """Texture coordinates at a place."""
         ...
 
-    def part(self, xp: Engine, spot: Spot) -> Array:
+    def part_at(self, xp: Engine, spot: Spot) -> Array:
         """Part id at a place."""
         ...

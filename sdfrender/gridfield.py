@@ -121,8 +121,8 @@ class GridField:
         found = Found(known, xp.full(p[0], 0.0), cell, place_in(xp, g, cell), base_of(xp, self._tables, cell, known))
         return Spot(known & (kind != INCOMPLETE), found.t, p, tuple(found))
 
-    def jet(self, *arguments: Any, order: int = 2) -> Any:
-        """Signed distance and derivatives at points, or, within a program, at a place.
+    def jet(self, points: Float[np.ndarray, "n 3"], order: int = 2) -> tuple[np.ndarray, ...]:
+        """Signed distance and derivatives at points (Galim 2018, eq. 13 to 19).
 
         Parameters
         ----------
@@ -138,12 +138,30 @@ class GridField:
         gradient, hessian
             (n, 3) and (n, 3, 3), per world unit; 0 where no brick is. Left out above `order`.
         """
-        if len(arguments) == 1:
-            return self._jet_of_points(np.asarray(arguments[0], float), order)
-        xp, spot, order = arguments
-        return self._jet(xp, spot, order)
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        out = self.engine.run(lambda xp, *p: self._named_jet(xp, (p[0], p[1], p[2]), order), list((points - self.anchor).T))
+        columns = [out[str(i)].astype(np.float64) for i in range(len(out))]
+        if order == 0:
+            return (columns[0],)
+        gradient = np.stack(columns[1:4], axis=-1)
+        if order == 1:
+            return columns[0], gradient
+        xx, yy, zz, xy, xz, yz = columns[4:]
+        hessian = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
+        return columns[0], gradient, hessian
 
-    def _jet(self, xp: Engine, spot: Spot, order: int) -> Jet:
+    def _named_jet(self, xp: Engine, p: Vector, order: int) -> dict[str, Array]:
+        everywhere = xp.full(p[0], True)
+        spot = self.locate(xp, p, everywhere)
+        found = Found(*spot.locator)
+        jet = self.jet_at(xp, spot, order)
+        x, y, z = (c >> 3 for c in found.cell)
+        bound = xp.gather(self._far, (x * self._tables.bricks[1] + y) * self._tables.bricks[2] + z, everywhere)
+        derivatives = [xp.where(found.hit, entry, 0.0) for entry in (*(jet.gradient or ()), *(jet.hessian or ()))]
+        return {str(i): entry for i, entry in enumerate([xp.where(found.hit, jet.value, bound), *derivatives])}
+
+    def jet_at(self, xp: Engine, spot: Spot, order: int) -> Jet:
+        """Signed distance and derivatives at a place; see `Field.jet_at`."""
         found = Found(*spot.locator)
         taps = stencil(xp, self._tables, found.base, found.hit)
         value, *rest = _contract(xp, self.kernel, taps, found.u, order)
@@ -152,30 +170,8 @@ class GridField:
         hessian = Symmetric(*(entry * (scale * scale) for entry in rest[3:])) if order > 1 else None
         return Jet(value, gradient, hessian)
 
-    def _jet_of_points(self, points: Float[np.ndarray, "n 3"], order: int) -> tuple[np.ndarray, ...]:
-        def program(xp: Engine, *p: Array) -> dict[str, Array]:
-            everywhere = xp.full(p[0], True)
-            spot = self.locate(xp, (p[0], p[1], p[2]), everywhere)
-            known = Found(*spot.locator).hit
-            jet = self._jet(xp, spot, order)
-            entries = [jet.value, *(jet.gradient or ()), *(jet.hessian or ())]
-            kept = [xp.where(known, entry, 0.0) for entry in entries]
-            x, y, z = (c >> 3 for c in Found(*spot.locator).cell)
-            bound = xp.gather(self._far, (x * self._tables.bricks[1] + y) * self._tables.bricks[2] + z, everywhere)
-            kept[0] = xp.where(known, entries[0], bound)
-            return {str(i): entry for i, entry in enumerate(kept)}
-
-        out = self.engine.run(program, list((points - self.anchor).T))
-        columns = [out[str(i)].astype(np.float64) for i in range(len(out))]
-        value, gradient = columns[0], np.stack(columns[1:4], axis=-1) if order > 0 else None
-        if order < 2:
-            return (value,) if gradient is None else (value, gradient)
-        xx, yy, zz, xy, xz, yz = columns[4:]
-        hessian = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
-        return value, gradient, hessian
-
-    def uv(self, *arguments: Any) -> Any:
-        """Texture coordinates at points, or, within a program, at a place (Galim 2018, eq. 22, 23).
+    def uv(self, points: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Texture coordinates at points (Galim 2018, eq. 22, 23).
 
         Parameters
         ----------
@@ -196,13 +192,23 @@ class GridField:
         BadInput
             If the grid was baked without texture coordinates.
         """
-        if len(arguments) == 1:
-            return self._uv_of_points(np.asarray(arguments[0], float))
-        xp, spot = arguments
-        return self._mapped(xp, spot)
 
-    def _mapped(self, xp: Engine, spot: Spot) -> Mapped:
+        def program(xp: Engine, *p: Array) -> dict[str, Array]:
+            spot = self.locate(xp, (p[0], p[1], p[2]), xp.full(p[0], True))
+            mapped = self.uv_at(xp, spot)
+            entries = [mapped.u, mapped.v, *mapped.du, *mapped.dv]
+            named = {str(i): xp.where(spot.hit, entry, 0.0) for i, entry in enumerate(entries)}
+            return {**named, "chart": mapped.chart}
+
+        points = np.asarray(points, np.float64).reshape(-1, 3)
+        out = self.engine.run(program, list((points - self.anchor).T))
+        columns = np.stack([out[str(i)] for i in range(8)], axis=-1).astype(np.float64)
+        return columns[:, :2], columns[:, 2:].reshape(-1, 2, 3), out["chart"].astype(np.int64)
+
+    def uv_at(self, xp: Engine, spot: Spot) -> Mapped:
+        """Texture coordinates at a place; see `Field.uv_at`."""
         found = Found(*spot.locator)
+        found = found._replace(hit=found.hit & spot.hit)
         parts = []
         for table in self._uv_tables():
             taps = stencil(xp, _with(self._tables, table), found.base, found.hit)
@@ -211,20 +217,8 @@ class GridField:
         chart, seam = self._chart(xp, found)
         return Mapped(parts[0][0], parts[1][0], parts[0][1], parts[1][1], chart, seam)
 
-    def _uv_of_points(self, points: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        def program(xp: Engine, *p: Array) -> dict[str, Array]:
-            spot = self.locate(xp, (p[0], p[1], p[2]), xp.full(p[0], True))
-            mapped = self._mapped(xp, spot)
-            entries = [mapped.u, mapped.v, *mapped.du, *mapped.dv]
-            named = {str(i): xp.where(spot.hit, entry, 0.0) for i, entry in enumerate(entries)}
-            return {**named, "chart": mapped.chart}
-
-        out = self.engine.run(program, list((points - self.anchor).T))
-        columns = np.stack([out[str(i)] for i in range(8)], axis=-1).astype(np.float64)
-        return columns[:, :2], columns[:, 2:].reshape(-1, 2, 3), out["chart"].astype(np.int64)
-
-    def part(self, xp: Engine, spot: Spot) -> Array:
-        """Part of the nearest sample."""
+    def part_at(self, xp: Engine, spot: Spot) -> Array:
+        """Part of the nearest sample; see `Field.part_at`."""
         if self._parts is None:
             return xp.full(spot.t, 0)
         found = Found(*spot.locator)

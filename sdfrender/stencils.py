@@ -7,8 +7,12 @@ A stencil that leaves the lattice continues linearly. A stencil that reaches an 
 band's width such a cell holds no surface (Galim 2018 stores all samples; here only those near the surface exist).
 """
 
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,7 +23,9 @@ from sdfrender.kernels import Kernel
 HALO_LOW, HALO_HIGH = 2, 3  # samples beyond a brick's own that the widest stencil and its prefilter touch
 PADDED = SIDE + HALO_LOW + HALO_HIGH
 INCOMPLETE, EMPTY, OCCUPIED = 0, 1, 2  # what a cell can be
-_CHUNK = 512  # bricks at once: 9 MB of padded float64 samples
+_CHUNK = 256  # bricks at once: 4.5 MB of padded float64 samples
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,19 +69,22 @@ def stencils(
     size = SIDE - 1 + kernel.taps
     coefficients = np.empty((len(bricks), size, size, size))
     cells = np.empty((len(bricks), SIDE, SIDE, SIDE), np.uint8)
-    largest = steepest = 0.0
-    for start in range(0, len(bricks), _CHUNK):
-        index = bricks.index[start : start + _CHUNK]
+
+    def prepare(rows: slice) -> tuple[float, float]:
+        index = bricks.index[rows]
         exact = _coefficients(_padded(values, bricks, index, shape, absent="nan"), kernel)
-        kinds, top, steep = _classify(exact, kernel, eps)
+        kinds, largest, steepest = _classify(exact, kernel, eps)
         kinds[~_has_cell(index, shape)] = INCOMPLETE
         unknown = np.isnan(exact)
-        if unknown.any():
-            bound = _window(_padded(values, bricks, index, shape, absent="far"), kernel)
-            exact[unknown] = bound[unknown]
-        coefficients[start : start + _CHUNK], cells[start : start + _CHUNK] = exact, kinds
-        largest, steepest = max(largest, top), max(steepest, steep)
-    return Stencils(coefficients, cells, largest, steepest)
+        holed = unknown.any(axis=(1, 2, 3))
+        bound = _window(_padded(values, bricks, index[holed], shape, absent="far"), kernel)
+        exact[holed] = np.where(unknown[holed], bound, exact[holed])
+        coefficients[rows], cells[rows] = exact, kinds
+        return largest, steepest
+
+    extremes = _by_chunks(prepare, len(bricks))
+    largest, steepest = np.max(extremes, axis=0, initial=0.0) if extremes else (0.0, 0.0)
+    return Stencils(coefficients, cells, float(largest), float(steepest))
 
 
 def channel_coefficients(
@@ -84,11 +93,19 @@ def channel_coefficients(
     """Prepare another channel (a texture coordinate): its coefficients, 0 where a stencil is incomplete."""
     size = SIDE - 1 + kernel.taps
     out = np.empty((len(bricks), size, size, size))
-    for start in range(0, len(bricks), _CHUNK):
-        index = bricks.index[start : start + _CHUNK]
-        exact = _coefficients(_padded(values, bricks, index, shape, absent="nan"), kernel)
-        out[start : start + _CHUNK] = np.nan_to_num(exact, nan=0.0)
+
+    def prepare(rows: slice) -> None:
+        exact = _coefficients(_padded(values, bricks, bricks.index[rows], shape, absent="nan"), kernel)
+        out[rows] = np.nan_to_num(exact, nan=0.0)
+
+    _by_chunks(prepare, len(bricks))
     return out
+
+
+def _by_chunks(prepare: Callable[[slice], Result], count: int) -> list[Result]:
+    """Run a function on slices of the bricks, over threads (NumPy lets go of the interpreter in its loops)."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(prepare, [slice(start, start + _CHUNK) for start in range(0, count, _CHUNK)]))
 
 
 def _padded(
@@ -101,7 +118,7 @@ def _padded(
     """Gather bricks with their neighbours' samples around them; absent ones are NaN or the far bound."""
     table = np.pad(bricks.slot, 1, constant_values=-1)
     far = np.pad(bricks.far, 1)
-    out = np.full((len(index), PADDED, PADDED, PADDED), np.nan)
+    out = np.empty((len(index), PADDED, PADDED, PADDED))
     spans = {
         -1: (slice(0, HALO_LOW), slice(SIDE - HALO_LOW, SIDE)),
         0: (slice(HALO_LOW, HALO_LOW + SIDE), slice(0, SIDE)),
@@ -110,12 +127,12 @@ def _padded(
     for offset in product((-1, 0, 1), repeat=3):
         neighbour = tuple((index + 1 + np.array(offset)).T)
         slot = table[neighbour]
-        present = slot >= 0
-        to = tuple(spans[o][0] for o in offset)
-        block = values[(slot[present], *(spans[o][1] for o in offset))].astype(np.float64)
-        out[(np.flatnonzero(present)[:, None, None, None], *np.ix_(*(np.arange(PADDED)[s] for s in to)))] = block
-        if absent == "far":
-            out[(slice(None), *to)][~present] = far[neighbour][~present][:, None, None, None]
+        (to_x, from_x), (to_y, from_y), (to_z, from_z) = (spans[o] for o in offset)
+        block = out[:, to_x, to_y, to_z]
+        block[...] = values[np.maximum(slot, 0), from_x, from_y, from_z]
+        missing = slot < 0
+        if missing.any():
+            block[missing] = far[neighbour][missing][:, None, None, None] if absent == "far" else np.nan
     for axis in range(3):
         _continue_linearly(out, index[:, axis] * SIDE - HALO_LOW, shape[axis], axis + 1)
     return out
@@ -140,11 +157,18 @@ def _continue_linearly(padded: Float[np.ndarray, "m 13 13 13"], first: Int[np.nd
 def _coefficients(padded: Float[np.ndarray, "m 13 13 13"], kernel: Kernel) -> Float[np.ndarray, "m S S S"]:
     """Prefilter along each axis and keep what the kernel reads."""
     if kernel.filtered:
-        low, middle, high = kernel.prefilter
+        outer, middle, _ = kernel.prefilter
         for axis in (1, 2, 3):
-            moved = np.moveaxis(padded, axis, -1)
-            inner = low * moved[..., :-2] + middle * moved[..., 1:-1] + high * moved[..., 2:]
-            padded = np.moveaxis(np.pad(inner, [(0, 0)] * 3 + [(1, 1)], constant_values=np.nan), -1, axis)
+            low, centre, high = (
+                padded[(slice(None),) * axis + (part,)] for part in (slice(0, -2), slice(1, -1), slice(2, None))
+            )
+            inner = low + high
+            inner *= outer
+            inner += middle * centre
+            padded = inner
+        first = HALO_LOW - 1 + kernel.first
+        kept = slice(first, first + SIDE - 1 + kernel.taps)
+        return np.ascontiguousarray(padded[:, kept, kept, kept])
     return _window(padded, kernel)
 
 
@@ -165,34 +189,38 @@ def _classify(
     low, high = _extremes(coefficients, kernel.taps, np.minimum), _extremes(coefficients, kernel.taps, np.maximum)
     widened = (kernel.overlap**3 - 1) / 2 * (high - low) + 64 * eps * np.maximum(np.abs(low), np.abs(high))
     kinds = np.where(np.isnan(low), INCOMPLETE, EMPTY).astype(np.uint8)
-    brick, i, j, k = np.nonzero((low - widened <= 0) & (high + widened >= 0))
+    asked = np.flatnonzero((low - widened <= 0) & (high + widened >= 0))
+    net_of_taps = np.kron(np.kron(kernel.bezier, kernel.bezier), kernel.bezier).T
     largest = steepest = 0.0
-    taps = np.arange(kernel.taps)
-    for start in range(0, len(brick), 65536):
-        part = slice(start, start + 65536)
-        cube = coefficients[
-            brick[part, None, None, None],
-            (i[part, None] + taps)[:, :, None, None],
-            (j[part, None] + taps)[:, None, :, None],
-            (k[part, None] + taps)[:, None, None, :],
-        ]
-        net = np.einsum("nijk,ai,bj,ck->nabc", cube, kernel.bezier, kernel.bezier, kernel.bezier, optimize=True)
-        least, most = net.min(axis=(1, 2, 3)), net.max(axis=(1, 2, 3))
+    for start in range(0, len(asked), 16384):
+        cells = asked[start : start + 16384]
+        net = _taps(coefficients, cells, kernel.taps) @ net_of_taps
+        least, most = net.min(axis=1), net.max(axis=1)
         size = np.maximum(np.abs(least), np.abs(most))
-        margin = 64 * eps * size
-        may = (least <= margin) & (most >= -margin)
-        kinds[brick[part][may], i[part][may], j[part][may], k[part][may]] = OCCUPIED
+        may = (least <= 64 * eps * size) & (most >= -64 * eps * size)
+        kinds.ravel()[cells[may]] = OCCUPIED
         largest, steepest = max(largest, size[may].max(initial=0)), max(steepest, (most - least)[may].max(initial=0))
     return kinds, float(largest), float(steepest)
+
+
+def _taps(
+    coefficients: Float[np.ndarray, "m S S S"], cells: Int[np.ndarray, " n"], taps: int
+) -> Float[np.ndarray, "n taps3"]:
+    """Gather the coefficients of cells given by their number in the bricks, z fastest."""
+    size = coefficients.shape[-1]
+    brick, i, j, k = np.unravel_index(cells, (len(coefficients), SIDE, SIDE, SIDE))
+    tap = np.arange(taps)
+    offset = ((tap[:, None, None] * size + tap[:, None]) * size + tap).ravel()
+    return coefficients.reshape(-1)[(((brick * size + i) * size + j) * size + k)[:, None] + offset]
 
 
 def _extremes(coefficients: Float[np.ndarray, "m S S S"], taps: int, least: np.ufunc) -> Float[np.ndarray, "m 8 8 8"]:
     """Least or greatest tap of every cell; NaN where a tap is."""
     for axis in (1, 2, 3):
-        parts = [np.take(coefficients, np.arange(tap, tap + SIDE), axis=axis) for tap in range(taps)]
-        coefficients = parts[0]
-        for part in parts[1:]:
-            coefficients = least(coefficients, part)
+        windows = [coefficients[(slice(None),) * axis + (slice(tap, tap + SIDE),)] for tap in range(taps)]
+        coefficients = least(windows[0], windows[1])
+        for window in windows[2:]:
+            least(coefficients, window, out=coefficients)
     return coefficients
 
 

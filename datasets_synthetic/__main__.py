@@ -1,0 +1,113 @@
+"""Command line of the room: `python -m datasets_synthetic list | make | sample | texture | scene`.
+
+In: names. Out: mesh files (PLY), grids sampled from exact shapes (Zarr), textures (PNG), scenes (TOML).
+"""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from datasets_synthetic import real, registry
+from datasets_synthetic.scenes import scene, scene_names
+from datasets_synthetic.texture import save_texture, textures
+from sdfbake.atomic import replacing
+from sdfbake.commandline import print_json, run
+from sdfbake.complaint import BadInput
+
+
+@click.group()
+def cli() -> None:
+    """Shapes with exact distances, their meshes and grids, textures, scenes."""
+
+
+@cli.command("list")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def list_(*, as_json: bool) -> None:
+    """List shapes, real meshes, textures and scenes."""
+    record = _catalogue()
+    if as_json:
+        print_json(record)
+        return
+    for entry in record["meshes"]:
+        kind = "exact shape and mesh" if entry["exact"] else "mesh" if entry["installed"] else "mesh, NOT INSTALLED"
+        click.echo(f"{entry['name']:16}{kind:24}{entry['about']}")
+    for kind in ("texture", "scene"):
+        for name in record[f"{kind}s"]:
+            click.echo(f"{name:16}{kind}")
+
+
+@cli.command()
+@click.argument("name")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Mesh file, .ply.")
+@click.option("--edge", type=float, help="Length of the edges; about 40,000 faces if left out.")
+def make(name: str, output: Path, edge: float | None) -> None:
+    """Write the mesh NAME."""
+    from sdfbake import meshfile
+
+    meshfile.save(registry.mesh(name, edge), output)
+
+
+@cli.command()
+@click.argument("name")
+@click.option("-n", "--resolution", required=True, type=int, help="Samples along the longest axis.")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Grid file, .zarr.zip.")
+@click.option("--uv-mode", type=click.Choice(["none", "grid"]), default="grid", show_default=True)
+@click.option("--cube", is_flag=True, help="The same number of samples along every axis.")
+def sample(name: str, resolution: int, output: Path, uv_mode: str, *, cube: bool) -> None:
+    """Sample the exact shape NAME to a grid, so that no facets speak for the method."""
+    from sdfbake.grid import Grid
+
+    Grid.from_function(registry.shape(name), resolution, uv_mode=uv_mode, cube=cube).save(output)
+
+
+@cli.command()
+@click.argument("name")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Picture file, .png.")
+def texture(name: str, output: Path) -> None:
+    """Draw the texture NAME."""
+    save_texture(name, output)
+
+
+@cli.command("scene")
+@click.argument("name")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Scene file, .toml.")
+def scene_(name: str, output: Path) -> None:
+    """Write the scene NAME; its grids and textures are expected in folders beside the scene's."""
+    text = scene(name)
+    with replacing(output) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _catalogue() -> dict[str, Any]:
+    """Everything there is, as plain data."""
+    meshes: list[dict[str, Any]] = []
+    for name, entry in registry.ENTRIES.items():
+        exact = entry.build()
+        meshes.append(
+            {
+                "name": name,
+                "about": entry.about,
+                "exact": True,
+                "edge": entry.edge,
+                "parts": list(exact.part_names),
+                "charts": exact.charts,
+                "area": exact.area,
+                "volume": exact.volume,
+            }
+        )
+    for name, (_, about) in real.FILES.items():
+        meshes.append({"name": name, "about": about, "exact": False, "installed": _installed(name)})
+    return {"meshes": meshes, "textures": list(textures()), "scenes": scene_names()}
+
+
+def _installed(name: str) -> bool:
+    try:
+        real.path_of(name)
+    except BadInput:
+        return False
+    return True
+
+
+if __name__ == "__main__":
+    run(cli, "python -m datasets_synthetic")

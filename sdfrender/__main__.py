@@ -1,0 +1,124 @@
+"""Command line of the renderer: `render` a scene, print its `plan`."""
+
+import sys
+import time
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from sdfbake.commandline import print_json, run
+from sdfbake.complaint import BadInput
+from sdfrender.image import CHANNELS, write_exr, write_png
+from sdfrender.plan import Plan, make_plan
+from sdfrender.render import prepare, shoot
+from sdfrender.scene import load_scene
+
+
+@click.group()
+def cli() -> None:
+    """Signed distance grids to footprints and images."""
+
+
+def _size(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, x, height = text.partition("x")
+    if not (x and width.isdecimal() and height.isdecimal()):
+        raise BadInput(f"--size {text} is not a size: write width x height, such as 512x512")
+    return int(width), int(height)
+
+
+def _outputs(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[str, ...] | None:
+    if text is None:
+        return None
+    names = tuple(name.strip() for name in text.split(","))
+    for name in names:
+        if name not in CHANNELS:
+            raise BadInput(f"there is no output '{name}': choose from {', '.join(CHANNELS)}")
+    return names
+
+
+@cli.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The picture, OpenEXR.")
+@click.option("--png", type=click.Path(path_type=Path), help="The picture for eyes, too.")
+@click.option("--size", callback=_size, help="WxH in pixels, in place of the scene's.")
+@click.option("--outputs", callback=_outputs, help="Comma-separated outputs, in place of the scene's.")
+@click.option("--kernel", help="linear, catmull-rom or bspline, in place of the scene's.")
+@click.option("--engine", default="auto", show_default=True, help="auto, numpy or drjit.")
+@click.option("--precision", type=int, help="32 or 64 bits; 64 on numpy, 32 on drjit by default.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the run.")
+def render(
+    scene: Path,
+    output: Path,
+    png: Path | None,
+    size: tuple[int, int] | None,
+    outputs: tuple[str, ...] | None,
+    kernel: str | None,
+    engine: str,
+    precision: int | None,
+    as_json: bool,
+) -> None:
+    """Render SCENE, a TOML file."""
+    start = time.perf_counter()
+    chosen = load_scene(scene).with_(size=size, outputs=outputs, kernel=kernel)
+    if png is not None and "rgb" not in chosen.film.outputs:
+        raise BadInput("--png shows the output rgb, which is not asked for: add rgb to --outputs")
+    stage = prepare(chosen, engine=engine, precision=precision)
+    choice = stage.field.choice  # type: ignore[attr-defined]
+    ready = time.perf_counter()
+    with _progress() as progress:
+        task = progress.add_task("tracing", total=chosen.film.supersample**2)
+        arrays = shoot(stage, lambda done, _total: progress.update(task, completed=done))
+    done = time.perf_counter()
+    write_exr(output, arrays)
+    if png is not None:
+        write_png(png, arrays["rgb"])
+    record = {
+        "output": str(output),
+        "engine": choice.engine.name,
+        "precision": choice.engine.precision,
+        "engine_reason": choice.reason,
+        "seconds": {"prepare": ready - start, "trace": done - ready, "total": time.perf_counter() - start},
+        "plan": stage.plan.record(),
+    }
+    if as_json:
+        print_json(record)
+    else:
+        said = f"{output}: {choice.engine.name}, {choice.engine.precision} bits ({choice.reason}), {done - ready:.2f} s"
+        click.echo(f"{said}; left out: {', '.join(o.what for o in stage.plan.left_out) or 'nothing'}", err=True)
+
+
+@cli.command()
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def plan(scene: Path, as_json: bool) -> None:
+    """Say what SCENE needs, and what is left out and why."""
+    made = make_plan(load_scene(scene))
+    if as_json:
+        print_json(made.record())
+    else:
+        Console().print(_table(made))
+
+
+def _table(made: Plan) -> Table:
+    table = Table("what", "", "why", title="plan")
+    orders = ["nothing" if order is None else ("value", "gradient", "Hessian")[order] for order in made.orders]
+    table.add_row("jets", ", ".join(orders), "per hit of a path")
+    table.add_row("channels read", ", ".join(made.channels), "of the asset")
+    table.add_row("outputs", ", ".join(made.outputs), "asked for")
+    for omission in made.left_out:
+        table.add_row(omission.what, "left out", omission.reason)
+    return table
+
+
+def _progress() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
+
+
+if __name__ == "__main__":
+    run(cli, "python -m sdfrender")

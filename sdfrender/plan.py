@@ -1,0 +1,107 @@
+"""What a scene needs, and what is left out.
+
+In: a scene with its outputs. Out: a frozen `Plan`: per hit of a path the order of the jet, whether differentials are
+carried, which channels of the asset are read. The render loop builds only what the plan names; nothing is switched off
+inside it.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from sdfrender.scene import Diffuse, Mirror, Normals, Scene
+
+FOOTPRINT_OUTPUTS = frozenset({"duv_dx", "duv_dy", "lod"})
+
+
+@dataclass(frozen=True, slots=True)
+class Omission:
+    """Something a renderer can do that this picture does not need, and why."""
+
+    what: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is computed.
+
+    Attributes
+    ----------
+    outputs
+        What is recorded.
+    orders
+        For the first, second, ... hit of a path the order of the jet: None for no jet at all, 1 for the gradient, 2
+        for the Hessian too. As many hits as entries are followed.
+    differentials
+        Whether ray differentials are carried.
+    uv
+        Whether texture coordinates are looked up.
+    parts
+        Whether the part of a hit matters.
+    channels
+        Channels of the asset that are read.
+    left_out
+        What is not computed, with reasons.
+    """
+
+    outputs: tuple[str, ...]
+    orders: tuple[int | None, ...]
+    differentials: bool
+    uv: bool
+    parts: bool
+    channels: tuple[str, ...]
+    left_out: tuple[Omission, ...]
+
+    def record(self) -> dict[str, Any]:
+        """Return the plan as plain data."""
+        return asdict(self)
+
+
+def make_plan(scene: Scene) -> Plan:
+    """Derive the plan of a scene."""
+    outputs = set(scene.film.outputs)
+    materials = scene.assets[0].materials
+    coloured = "rgb" in outputs
+    mirrors = any(isinstance(material, Mirror) for material in materials)
+    used = [scene.texture(m.texture) for m in materials if isinstance(m, Diffuse) and m.texture is not None]
+    textured = coloured and bool(used)
+    filtered = textured and any(texture.filter == "trilinear" for texture in used)
+    differentials = filtered or bool(outputs & (FOOTPRINT_OUTPUTS | {"flags"}))
+    uv = textured or bool(outputs & (FOOTPRINT_OUTPUTS | {"uv", "flags"}))
+    beyond_first = coloured or bool(outputs & (FOOTPRINT_OUTPUTS | {"uv", "flags"}))
+    hits = 1 + (scene.trace.bounces if mirrors and beyond_first else 0)
+    parts = len(materials) > 1 or materials[0].part != "*" or "part" in outputs
+    normals = coloured and any(isinstance(material, Normals) for material in materials)
+    orders = tuple(_order(hit, hits, differentials, normals, outputs) for hit in range(hits))
+    channels = ["distance", *(["uv", "chart"] if uv else []), *(["part"] if parts else [])]
+    omissions = _omissions(scene, differentials, uv, parts, orders, mirrors)
+    return Plan(scene.film.outputs, orders, differentials, uv, parts, tuple(channels), omissions)
+
+
+def _order(hit: int, hits: int, differentials: bool, normals: bool, outputs: set[str]) -> int | None:
+    """Order of the jet at a hit: the Hessian only where differentials go on from a mirror."""
+    if hit < hits - 1:
+        return 2 if differentials else 1
+    return 1 if differentials or normals or (hit == 0 and "N" in outputs) else None
+
+
+def _omissions(
+    scene: Scene, differentials: bool, uv: bool, parts: bool, orders: tuple[int | None, ...], mirrors: bool
+) -> tuple[Omission, ...]:
+    left_out = []
+    if not uv:
+        left_out.append(Omission("texture coordinates", "no material is textured and no output shows them"))
+    if not differentials:
+        reason = "nothing is filtered by a footprint" if uv else "there are no texture coordinates to filter"
+        left_out.append(Omission("ray differentials", f"{reason} and no output shows one"))
+    if 2 not in orders:
+        reason = "no differentials go on from a mirror" if mirrors else "there is no mirror"
+        left_out.append(Omission("Hessians", reason))
+    if all(order is None for order in orders):
+        left_out.append(Omission("gradients", "no material and no output depends on a normal"))
+    if len(orders) == 1 and scene.trace.bounces:
+        reason = "no output looks beyond the first hit" if mirrors else "there is no mirror"
+        left_out.append(Omission("bounces", reason))
+    if not parts:
+        left_out.append(Omission("parts", "one material serves all"))
+    return tuple(left_out)
