@@ -32,12 +32,11 @@ def replacing(path: str | Path) -> Iterator[Path]:
         If the folder cannot be made or written to.
     """
     path = Path(path)
+    check_writable(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"cannot make the folder {path.parent} ({error.strerror}): choose another output") from None
-    if path.is_dir() or not os.access(path.parent, os.W_OK):
-        raise BadInput(f"cannot write {path}: the folder is not writable or the name is a folder; choose another output")
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
     try:
         yield temporary
@@ -46,3 +45,13 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise BadInput(f"cannot write {path} ({error.strerror}): free some space or choose another output") from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: str | Path) -> None:
+    """Raise BadInput if a file could not be put there; for asking before hours of work, touches nothing."""
+    path = Path(path).absolute()
+    folder = next(parent for parent in path.parents if parent.exists())
+    if path.is_dir():
+        raise BadInput(f"cannot write {path}: it is a folder; name a file in it")
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise BadInput(f"cannot write {path}: {folder} is not a folder that can be written to; choose another output")

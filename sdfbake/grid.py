@@ -3,12 +3,12 @@
 In: an exact shape, a dense array, or what a bake computed. Out: a frozen `Grid`.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 from numpy.typing import ArrayLike
 
 from sdfbake import bricks as brick
@@ -53,8 +53,8 @@ class Grid:
     bricks: Bricks
     distance: Float[np.ndarray, "k 8 8 8"]
     uv: Float[np.ndarray, "k 8 8 8 2"] | None
-    chart: Int[np.ndarray, "k 8 8 8"] | None
-    part: Int[np.ndarray, "k 8 8 8"] | None
+    chart: Integer[np.ndarray, "k 8 8 8"] | None
+    part: Integer[np.ndarray, "k 8 8 8"] | None
     metadata: Metadata
 
     def __post_init__(self) -> None:
@@ -118,7 +118,9 @@ class Grid:
         return Grid(lattice, bricks, values[kept], channels.get("uv"), chart, part, metadata)
 
     @staticmethod
-    def from_dense(values: ArrayLike, *, origin: ArrayLike = (0.0, 0.0, 0.0), spacing: float = 1.0) -> "Grid":
+    def from_dense(
+        values: ArrayLike, *, origin: Sequence[float | int] | np.ndarray = (0.0, 0.0, 0.0), spacing: float | int = 1.0
+    ) -> "Grid":
         """Take anybody's numbers, not necessarily distances.
 
         Parameters
@@ -151,7 +153,7 @@ class Grid:
                 f"{np.count_nonzero(~np.isfinite(dense))} values of the array are NaN, infinite or beyond float32: "
                 "replace them by finite numbers"
             )
-        lattice = Lattice(np.asarray(origin, np.float64), spacing, dense.shape)
+        lattice = Lattice(np.asarray(origin, np.float64), float(spacing), dense.shape)
         bricks = needed(dense)
         distance = _blank(len(bricks), "distance")
         inside = brick.in_lattice(bricks.index, dense.shape)
@@ -213,7 +215,7 @@ def _surface_channels(shape: Shape, lattice: Lattice, bricks: Bricks) -> dict[st
     return channels
 
 
-def _part_channel(shape: Shape, lattice: Lattice, bricks: Bricks) -> Int[np.ndarray, "k 8 8 8"] | None:
+def _part_channel(shape: Shape, lattice: Lattice, bricks: Bricks) -> Integer[np.ndarray, "k 8 8 8"] | None:
     """Sample part ids where there are several parts."""
     if not isinstance(shape, Charted) or len(shape.part_names) < 2:
         return None

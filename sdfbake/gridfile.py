@@ -200,9 +200,9 @@ def _read_head(archive: zipfile.ZipFile) -> tuple[Lattice, Metadata]:
     shape = head["shape"]
     whole = len(shape) == 3 and all(isinstance(n, int) and 2 <= n <= _MOST_SAMPLES for n in shape)
     _require(whole, "the shape of its lattice")
-    return Lattice(head["origin"], head["spacing"], tuple(shape)), Metadata.model_validate_json(
-        json.dumps(head["metadata"])
-    )
+    return Lattice(
+        np.array(head["origin"], np.float64), float(head["spacing"]), (shape[0], shape[1], shape[2])
+    ), Metadata.model_validate_json(json.dumps(head["metadata"]))
 
 
 def _check_sizes(archive: zipfile.ZipFile, path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from operator import index as integer
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 from sdfbake.complaint import BadInput
 
@@ -79,14 +79,15 @@ class Lattice:
         count = np.ceil(extent / spacing + 2 * BAND - 1e-3).astype(int) + 1
         count = np.full(3, n) if cube else np.minimum(count, n)
         origin = (low + high) / 2 - spacing * (count - 1) / 2
-        return Lattice(origin, spacing, (count[0], count[1], count[2]))
+        nx, ny, nz = count.tolist()
+        return Lattice(origin, float(spacing), (nx, ny, nz))
 
-    def to_grid(self, p: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    def to_grid(self, p: Num[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """Return grid coordinates of world points: (p - origin) / spacing."""
         p_grid: Float[np.ndarray, "*n 3"] = (np.asarray(p, np.float64) - self.origin) / self.spacing
         return p_grid
 
-    def to_world(self, index: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    def to_world(self, index: Num[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """Return world points of grid coordinates (whole or not): origin + spacing * index."""
         p: Float[np.ndarray, "*n 3"] = self.origin + self.spacing * np.asarray(index, np.float64)
         return p

@@ -153,7 +153,7 @@ def _load_obj(path: Path) -> Mesh:
     obj = objfile.read(path)
     vertices, place = weld(obj.vertices)
     faces = place[obj.faces]
-    chart = np.zeros(0, np.int32) if obj.uv is None else charts_of(faces, obj.uv)
+    chart = np.zeros(len(faces), np.int32) if obj.uv is None else charts_of(faces, obj.uv)
     return Mesh(vertices, faces, obj.uv, chart, obj.part, obj.part_names)
 
 
@@ -172,7 +172,7 @@ def _load_any(path: Path) -> Mesh:
     part = np.repeat(np.arange(len(pieces)), [len(g.faces) for _, g, _ in pieces])
     coordinates = [np.asarray(getattr(g.visual, "uv", None)) for _, g, _ in pieces]
     welded, place = weld(np.concatenate(vertices))
-    faces, uv, chart = place[corners], None, np.zeros(0, np.int32)
+    faces, uv, chart = place[corners], None, np.zeros(len(corners), np.int32)
     if all(c.shape == (len(v), 2) for c, v in zip(coordinates, vertices, strict=True)):
         uv = np.concatenate(coordinates).astype(np.float64)[corners]
         chart = charts_of(faces, uv)

@@ -53,7 +53,7 @@ def read(path: Path) -> Obj:
             if word == "v":
                 positions.append(rest[:3])
             elif word == "vt":
-                coordinates.append((rest + ["0"])[:2])
+                coordinates.append([*rest, "0"][:2])
             elif word == "f":
                 here = [_corner(token, len(positions), len(coordinates)) for token in rest]
                 for i in range(1, len(here) - 1):

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 
+@runtime_checkable
 class Shape(Protocol):
     """A solid with a closed-form signed distance and texture coordinates; points are (n, 3), world frame."""
 

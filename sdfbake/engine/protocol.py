@@ -6,7 +6,7 @@ dtype, or at a value: on a compiling engine there is none yet.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -15,6 +15,7 @@ State = TypeVar("State", bound=tuple[Any, ...])
 Program = Callable[..., Mapping[str, Array]]
 
 
+@runtime_checkable
 class Engine(Protocol):
     """An array engine; see the module's text for what its arrays can do by themselves."""
 

@@ -1,0 +1,162 @@
+"""What is wrong with a mesh, how much of it, and where.
+
+In: a mesh. Out: a frozen `Diagnosis`: findings with a name, a count, a place, and what follows from them.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from sdfbake.complaint import BadInput
+from sdfbake.mesh import Mesh
+from sdfbake.topology import Topology, signed_volume, twice_areas
+
+Consequence = Literal["refused", "repairable", "noted"]
+
+_ADVICE = {
+    "empty": "export a surface mesh",
+    "non-finite": "export it again, or delete those vertices",
+    "open": "close its holes, in MeshLab for example",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One kind of defect.
+
+    Attributes
+    ----------
+    name
+        "empty", "non-finite", "degenerate", "duplicate", "unreferenced", "flipped", "inside-out", "open",
+        "non-manifold" or "self-intersecting".
+    count
+        How many vertices, faces or edges have it.
+    of
+        What is counted.
+    place
+        World position of the first one; None where there is none to give.
+    consequence
+        "refused": there is no inside, or nothing to bake; "repairable": `sdfbake.repair` mends it; "noted": the bake
+        takes it as it is, with signs by winding number.
+    """
+
+    name: str
+    count: int
+    of: str
+    place: tuple[float, float, float] | None
+    consequence: Consequence
+
+    def __str__(self) -> str:
+        where = "" if self.place is None else " at ({:.6g}, {:.6g}, {:.6g})".format(*self.place)
+        first = "" if self.place is None else ", the first" if self.count > 1 else ""
+        return f"{self.name}: {self.count} {self.of}{first}{where}"
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """All findings, in the order they were looked for.
+
+    Attributes
+    ----------
+    findings
+        Defects; none for a clean mesh.
+    """
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def refused(self) -> bool:
+        """Whether a bake will not take the mesh."""
+        return any(finding.consequence == "refused" for finding in self.findings)
+
+    @property
+    def repairable(self) -> bool:
+        """Whether `sdfbake.repair` has something to do."""
+        return any(finding.consequence == "repairable" for finding in self.findings)
+
+    @property
+    def certified(self) -> bool:
+        """Whether the surface is closed, oriented and manifold, so that pseudonormals tell inside from outside."""
+        return not {finding.name for finding in self.findings} - {"unreferenced", "inside-out"}
+
+    def has(self, name: str) -> bool:
+        """Say whether a defect was found."""
+        return any(finding.name == name for finding in self.findings)
+
+    def require_bakeable(self) -> None:
+        """Raise BadInput with the first finding that is refused."""
+        for finding in self.findings:
+            if finding.consequence == "refused":
+                raise BadInput(f"the mesh is {finding}: {_ADVICE[finding.name]}")
+
+    def record(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        verdict = "refused" if self.refused else "repairable" if self.repairable else "clean"
+        return {"verdict": verdict, "findings": [asdict(finding) for finding in self.findings]}
+
+
+def diagnose(mesh: Mesh) -> Diagnosis:
+    """Look for everything that can be told from the arrays alone (self-intersections: `sdfbake.repair.crossings`).
+
+    Parameters
+    ----------
+    mesh
+        Any mesh; non-finite or empty ones end the search at once.
+    """
+    if len(mesh.faces) == 0:
+        return Diagnosis((Finding("empty", 0, "faces", None, "refused"),))
+    broken = ~np.isfinite(mesh.vertices).all(axis=1)
+    if broken.any():
+        return Diagnosis((Finding("non-finite", int(broken.sum()), "vertices", None, "refused"),))
+    degenerate = twice_areas(mesh.vertices, mesh.faces) == 0
+    if degenerate.all():
+        return Diagnosis((Finding("empty", len(mesh.faces), "faces without area", None, "refused"),))
+    return Diagnosis(tuple(_vertex_and_face_findings(mesh, degenerate) + _edge_findings(mesh)))
+
+
+def _vertex_and_face_findings(mesh: Mesh, degenerate: Bool[np.ndarray, " f"]) -> list[Finding]:
+    """Find what single faces and vertices show."""
+    centres = mesh.vertices[mesh.faces].mean(axis=1)
+    unused = np.ones(len(mesh.vertices), bool)
+    unused[mesh.faces] = False
+    _, first = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_index=True)
+    repeated = np.ones(len(mesh.faces), bool)
+    repeated[first] = False
+    found = [
+        _finding("degenerate", "faces", centres[degenerate], "repairable"),
+        _finding("duplicate", "faces", centres[repeated], "repairable"),
+        _finding("unreferenced", "vertices", mesh.vertices[unused], "repairable"),
+    ]
+    return [finding for finding in found if finding.count]
+
+
+def _edge_findings(mesh: Mesh) -> list[Finding]:
+    """Find what edges show, on the faces with three different vertices."""
+    faces = proper(mesh.faces)
+    topology = Topology.of(faces)
+    middles = mesh.vertices[topology.edges].mean(axis=1)
+    found = [
+        _finding("flipped", "edges", middles[topology.flipped_edges], "repairable"),
+        _finding("open", "boundary edges", middles[topology.open_edges], "refused"),
+        _finding("non-manifold", "edges", middles[topology.crowded_edges], "noted"),
+    ]
+    if not any(finding.count for finding in found):
+        pinched = mesh.vertices[topology.pinched_vertices(faces)]
+        found = [_finding("non-manifold", "vertices", pinched, "noted")]
+        if signed_volume(mesh.vertices, faces) < 0:
+            found.append(_finding("inside-out", "faces", mesh.vertices[faces].mean(axis=1), "repairable"))
+    return [finding for finding in found if finding.count]
+
+
+def proper(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "g 3"]:
+    """Return the faces with three different vertices."""
+    kept: Int[np.ndarray, "g 3"] = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    return kept
+
+
+def _finding(name: str, of: str, places: Float[np.ndarray, "n 3"], consequence: Consequence) -> Finding:
+    """Return a finding with the first of its places."""
+    place = None if len(places) == 0 else (float(places[0][0]), float(places[0][1]), float(places[0][2]))
+    return Finding(name, len(places), of, place, consequence)

@@ -1,0 +1,43 @@
+"""Shared fixtures: one seeded generator, the engines, the exact sphere; array shapes are checked while tests run."""
+
+from jaxtyping import install_import_hook
+
+with install_import_hook(["sdfbake", "sdfrender", "datasets_synthetic", "validate"], "beartype.beartype"):
+    import datasets_synthetic
+    import sdfbake
+    import sdfrender
+    import sdfrender.render
+    import validate.exact  # noqa: F401
+
+import numpy as np
+import pytest
+
+from sdfbake.engine import choose
+from sdfbake.engine.choose import _jit_problem
+
+ENGINES = [("numpy", 64), ("numpy", 32)] + ([("drjit", 64), ("drjit", 32)] if _jit_problem() is None else [])
+
+
+@pytest.fixture
+def rng():
+    """The one source of randomness."""
+    return np.random.default_rng(20180412)
+
+
+@pytest.fixture(params=ENGINES, ids=[f"{name}{bits}" for name, bits in ENGINES])
+def choice(request):
+    """Every engine in every precision that can run here."""
+    return choose(*request.param)
+
+
+@pytest.fixture
+def sphere():
+    """The exact sphere of radius 0.8."""
+    return datasets_synthetic.shape("sphere")
+
+
+@pytest.fixture
+def directions(rng):
+    """1000 random unit vectors."""
+    d = rng.normal(size=(1000, 3))
+    return d / np.linalg.norm(d, axis=-1, keepdims=True)
