@@ -1,4 +1,4 @@
-"""Command line of the room: `python -m datasets_synthetic list | make | sample | texture | scene`.
+"""Command line of the room: `python -m datasets_synthetic list | make | sample | texture | scenes`.
 
 In: names. Out: mesh files (PLY), grids sampled from exact shapes (Zarr), textures (PNG), scenes (TOML).
 """
@@ -31,10 +31,10 @@ def list_(*, as_json: bool) -> None:
         return
     for entry in record["meshes"]:
         kind = "exact shape and mesh" if entry["exact"] else "mesh" if entry["installed"] else "mesh, NOT INSTALLED"
-        click.echo(f"{entry['name']:16}{kind:24}{entry['about']}")
+        click.echo(f"{entry['name']:24}{kind:24}{entry['about']}")
     for kind in ("texture", "scene"):
         for name in record[f"{kind}s"]:
-            click.echo(f"{name:16}{kind}")
+            click.echo(f"{name:24}{kind}")
 
 
 @cli.command()
@@ -69,14 +69,13 @@ def texture(name: str, output: Path) -> None:
     save_texture(name, output)
 
 
-@cli.command("scene")
-@click.argument("name")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Scene file, .toml.")
-def scene_(name: str, output: Path) -> None:
-    """Write the scene NAME; its grids and textures are expected in folders beside the scene's."""
-    text = scene(name)
-    with replacing(output) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+@cli.command()
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder for the .toml files.")
+def scenes(output: Path) -> None:
+    """Write all scenes; their grids and textures are expected in folders beside theirs."""
+    for name in scene_names():
+        with replacing(output / f"{name}.toml") as temporary:
+            temporary.write_text(scene(name), encoding="utf-8")
 
 
 def _catalogue() -> dict[str, Any]:

@@ -130,7 +130,7 @@ def _variants() -> dict[str, Variant]:
     baked = {f"{name}-baked": variant for name, variant in _FIGURES.items()}
     references = {
         "reference": Variant("mirror", "exact-mirror@512", filter="bilinear", supersample=8),
-        "reference-figure-4": Variant("normals", "exact-sphere@16", supersample=8),
+        "figure-4-reference": Variant("normals", "exact-sphere@16", supersample=8),
     }
     shapes = {name: Variant("textured", f"{name}@512") for name in _VIEWS}
     return {**exact, **baked, **references, **shapes}

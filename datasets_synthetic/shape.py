@@ -4,7 +4,7 @@ In: points and rays, (n, 3) float64, world frame. Out: distance, texture coordin
 closed form (or to the rounding of float64); a mesh whose vertices lie on the same surface.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from sdfbake.mesh import Mesh
 
 
+@runtime_checkable
 class ExactShape(Protocol):
     """A closed solid whose every answer is exact near and far, inside and outside.
 

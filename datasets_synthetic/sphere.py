@@ -50,7 +50,8 @@ class Sphere:
 
     def distance(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         """|p - centre| - r."""
-        distance: Float[np.ndarray, " n"] = np.linalg.norm(p - np.asarray(self.centre), axis=1) - self.radius
+        x, y, z = p.T - np.asarray(self.centre)[:, None]
+        distance: Float[np.ndarray, " n"] = np.sqrt(x * x + y * y + z * z) - self.radius
         return distance
 
     def normal(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

@@ -11,7 +11,7 @@ where (N, B) is a smooth closed frame across the curve, right-handed with its ta
 
 from dataclasses import dataclass
 from math import ceil, pi
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,6 +24,7 @@ _TURN = 2 * pi
 _STEPS = 2000
 
 
+@runtime_checkable
 class Curve(Protocol):
     """A smooth closed curve with parameter t in [0, 2 pi)."""
 

@@ -4,7 +4,9 @@ In: a lattice and a distance. Out: `Bricks`, found coarse to fine by the 1-Lipsc
 half-diagonal R is nearer to the surface than |distance(centre)| - R.
 """
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +17,7 @@ from sdfbake.lattice import BAND, Lattice
 SIDE = 8
 # A root of the interpolant may lie off the surface by a fraction of a voxel; its stencil must still be complete.
 REACH = BAND + 0.5
-_CHUNK = 512  # bricks whose samples are evaluated at once: 2^18 points, 6 MB of float64 positions
+_CHUNK = 64  # bricks whose samples are evaluated at once: 2^15 points, whose columns stay in the caches
 _DOWN = 1 - 1e-6  # more than float32's rounding: a lower bound stays one when it is stored
 
 Distance = Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, " n"]]
@@ -77,16 +79,21 @@ def sampled(
     index: Int[np.ndarray, "k 3"],
     function: Callable[[Float[np.ndarray, "n 3"]], np.ndarray],
     out: np.ndarray,
+    among: Bool[np.ndarray, "k 8 8 8"] | None = None,
 ) -> np.ndarray:
-    """Fill `out` (k, 8, 8, 8, ...), fresh from the caller, with a function of the samples' world positions."""
-    for start in range(0, len(index), _CHUNK):
-        part = index[start : start + _CHUNK]
-        p = lattice.to_world(sample_index(part))
-        inside = in_lattice(part, lattice.shape)
-        if inside.all():
-            out[start : start + _CHUNK] = function(p.reshape(-1, 3)).reshape(out[start : start + _CHUNK].shape)
-        else:
-            out[start : start + _CHUNK][inside] = function(p[inside])
+    """Fill `out` (k, 8, 8, 8, ...), fresh from the caller, with a function of the samples' world positions.
+
+    Samples outside the lattice, or not `among` those that are wanted, stay as they are. Chunks run on threads.
+    """
+
+    def fill(part: slice) -> None:
+        wanted = in_lattice(index[part], lattice.shape)
+        if among is not None:
+            wanted &= among[part]
+        out[part][wanted] = function(lattice.to_world(sample_index(index[part])[wanted]))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(fill, [slice(start, start + _CHUNK) for start in range(0, len(index), _CHUNK)]))
     return out
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 from numpy.typing import ArrayLike
 
 from sdfbake import bricks as brick
@@ -44,7 +44,8 @@ class Grid:
     uv
         Texture coordinates of the closest surface point, float32; None where they were not asked for.
     chart, part
-        Chart (int32) and part (uint8) of that point; None where there is only one, or it was not asked for.
+        Chart (int32) and part (uint8) of that point; None where there is only one, or it was not asked for. These
+        three are 0 at samples more than `REACH` voxels from the surface.
     metadata
         Where all this comes from.
     """
@@ -105,8 +106,9 @@ class Grid:
         if not np.isfinite(values).all():
             raise BadInput("the shape's distance is NaN or infinite at some samples: it must be finite everywhere")
         bricks, kept = brick.settle(lattice, found, values)
-        channels = _surface_channels(shape, lattice, bricks) if uv_mode == "grid" else {}
-        part = _part_channel(shape, lattice, bricks)
+        near = np.abs(values[kept]) <= brick.REACH * lattice.spacing
+        channels = _surface_channels(shape, lattice, bricks, near) if uv_mode == "grid" else {}
+        part = _part_channel(shape, lattice, bricks, near)
         chart = channels.get("chart")
         metadata = Metadata(
             source="function",
@@ -205,20 +207,24 @@ def _blank(count: int, channel: str) -> np.ndarray:
     return np.zeros((count, SIDE, SIDE, SIDE, *width), kind)
 
 
-def _surface_channels(shape: Shape, lattice: Lattice, bricks: Bricks) -> dict[str, np.ndarray]:
-    """Sample texture coordinates and, where there are any, charts."""
-    channels = {"uv": brick.sampled(lattice, bricks.index, shape.uv, _blank(len(bricks), "uv"))}
+def _surface_channels(
+    shape: Shape, lattice: Lattice, bricks: Bricks, near: Bool[np.ndarray, "k 8 8 8"]
+) -> dict[str, np.ndarray]:
+    """Sample texture coordinates and, where there are any, charts, at the samples near the surface."""
+    channels = {"uv": brick.sampled(lattice, bricks.index, shape.uv, _blank(len(bricks), "uv"), near)}
     if not np.isfinite(channels["uv"]).all():
         raise BadInput("the shape's uv is NaN or infinite at some samples: it must be finite near the surface")
     if isinstance(shape, Charted):
-        channels["chart"] = brick.sampled(lattice, bricks.index, shape.chart, _blank(len(bricks), "chart"))
+        channels["chart"] = brick.sampled(lattice, bricks.index, shape.chart, _blank(len(bricks), "chart"), near)
     return channels
 
 
-def _part_channel(shape: Shape, lattice: Lattice, bricks: Bricks) -> Integer[np.ndarray, "k 8 8 8"] | None:
+def _part_channel(
+    shape: Shape, lattice: Lattice, bricks: Bricks, near: Bool[np.ndarray, "k 8 8 8"]
+) -> Integer[np.ndarray, "k 8 8 8"] | None:
     """Sample part ids where there are several parts."""
     if not isinstance(shape, Charted) or len(shape.part_names) < 2:
         return None
     if len(shape.part_names) > 256:
         raise BadInput(f"the shape has {len(shape.part_names)} parts: a grid stores at most 256")
-    return brick.sampled(lattice, bricks.index, shape.part, _blank(len(bricks), "part"))
+    return brick.sampled(lattice, bricks.index, shape.part, _blank(len(bricks), "part"), near)

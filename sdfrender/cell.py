@@ -16,6 +16,8 @@ cell to cell, so that no root slips through between two cells. docs/tracing.md d
 from math import comb, sqrt
 from typing import NamedTuple
 
+import numpy as np
+
 from sdfbake.engine import Array, Engine
 from sdfrender.kernels import Kernel
 from sdfrender.vector import Vector
@@ -32,25 +34,21 @@ class Bracket(NamedTuple):
     before: Array
 
 
-def tolerance(eps: float, kernel: Kernel, largest: float, steepest: float, samples: int) -> float:
-    """Bound the rounding of a Bernstein coefficient (docs/tracing.md).
+def tolerance(eps: float, kernel: Kernel, largest: float) -> float:
+    """Bound the rounding of a Bernstein coefficient of `ray_polynomial` (derived in docs/tracing.md).
 
     Parameters
     ----------
     eps
         Distance from 1 to the next float.
     kernel
-        The kernel; its overlap enters once per axis.
+        The kernel, for the number of operations.
     largest
-        Greatest |net coefficient| over the cells that may hold surface.
-    steepest
-        Greatest difference of two net coefficients of one such cell.
-    samples
-        Samples along the longest axis: positions along a ray round relative to this.
+        Greatest sum of |weight x coefficient| behind a control point of the nets of cells that may hold surface.
     """
-    sums = 48 * largest * kernel.overlap**3
-    positions = 4 * samples * min(steepest, 2 * largest) * kernel.degree / 9
-    return eps / 2 * (sums + max(positions, 0.0))
+    weights = 12 if kernel.degree > 1 else 1
+    sums = kernel.taps + 2 * kernel.taps * (kernel.degree + 1) + 3
+    return eps / 2 * (sums + 3 * weights) * largest
 
 
 def ray_polynomial(xp: Engine, kernel: Kernel, coefficients: list[Array], enter: Vector, leave: Vector) -> Polynomial:
@@ -84,21 +82,30 @@ def ray_polynomial(xp: Engine, kernel: Kernel, coefficients: list[Array], enter:
 
 
 def _scaled_weights(xp: Engine, kernel: Kernel, a: Array, e: Array) -> list[list[Array]]:
-    """Per tap, the weight's Bernstein coefficients on [a, e], each times its binomial."""
+    """Per tap, the weight's Bernstein coefficients on [a, e], each times its binomial.
+
+    Polar forms in the Bernstein basis of the cell, whose terms have one sign: in powers of a and e they cancel.
+    """
+    not_a, not_e = 1.0 - a, 1.0 - e
     if kernel.degree == 1:
-        return [[1.0 - a, 1.0 - e], [a, e]]
-    aa, ae, ee = a * a, a * e, e * e
-    linear = (3.0 * a, 2.0 * a + e, a + 2.0 * e, 3.0 * e)
-    square = (3.0 * aa, aa + 2.0 * ae, ee + 2.0 * ae, 3.0 * ee)
-    cubic = (aa * a, aa * e, a * ee, ee * e)
+        return [[not_a, not_e], [a, e]]
+    aa, ee, bb, ff = a * a, e * e, not_a * not_a, not_e * not_e
+    inner, outer = 2.0 * (a * not_a), 2.0 * (e * not_e)
+    forms = (
+        (bb * not_a, 3.0 * (a * bb), 3.0 * (aa * not_a), aa * a),
+        (bb * not_e, xp.fma(inner, not_e, bb * e), xp.fma(inner, e, aa * not_e), aa * e),
+        (ff * not_a, xp.fma(outer, not_a, ff * a), xp.fma(outer, a, ee * not_a), ee * a),
+        (ff * not_e, 3.0 * (e * ff), 3.0 * (ee * not_e), ee * e),
+    )
     rows = []
-    for c0, c1, c2, c3 in kernel.weights.tolist():
+    for ordinates in kernel.bezier.T.tolist():
+        used = [(s, ordinate) for s, ordinate in enumerate(ordinates) if ordinate]
         row = []
-        for r, binomial in enumerate((1.0, 3.0, 3.0, 1.0)):
-            value = cubic[r] * (c3 * binomial)
-            value = xp.fma(square[r], c2 * binomial / 3.0, value) if c2 else value
-            value = xp.fma(linear[r], c1 * binomial / 3.0, value) if c1 else value
-            row.append(value + c0 * binomial if c0 else value)
+        for form, binomial in zip(forms, (1.0, 3.0, 3.0, 1.0), strict=True):
+            value = form[used[0][0]] * (used[0][1] * binomial)
+            for s, ordinate in used[1:]:
+                value = xp.fma(form[s], ordinate * binomial, value)
+            row.append(value)
         rows.append(row)
     return rows
 
@@ -120,7 +127,7 @@ def _convolve(xp: Engine, total: list[Array] | None, a: list[Array], b: list[Arr
     return sums
 
 
-def sign_changes(xp: Engine, polynomial: Polynomial, sign: Array, bound: float) -> tuple[Array, Array]:
+def sign_changes(xp: Engine, polynomial: Polynomial, sign: Array, bound: Array) -> tuple[Array, Array]:
     """Count the sign changes of (sign, coefficients), passing over |b| <= bound; also return the last sign."""
     changes = xp.full(polynomial[0], 0)
     for value in polynomial:
@@ -139,7 +146,7 @@ class _Split(NamedTuple):
     rest: Polynomial
 
 
-def isolate(xp: Engine, polynomial: Polynomial, sign: Array, bound: float, active: Array) -> tuple[Bracket, Array]:
+def isolate(xp: Engine, polynomial: Polynomial, sign: Array, bound: Array, active: Array) -> tuple[Bracket, Array]:
     """Find an interval with the first root only.
 
     Parameters

@@ -4,7 +4,7 @@ In: rays and places on the surface as engine arrays, world units, relative to th
 sees no large offsets). Out: first hits, jets, texture coordinates. `sdfrender.gridfield` answers from a grid.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -53,6 +53,7 @@ class Mapped(NamedTuple):
     seam: Array
 
 
+@runtime_checkable
 class Field(Protocol):
     """A surface that rays can be traced against."""
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from sdfbake.complaint import BadInput
 from sdfbake.engine import Array, Choice, Engine, choose
@@ -40,6 +40,12 @@ class GridField:
     engine, precision
         As for `sdfbake.engine.choose`.
 
+    Attributes
+    ----------
+    tolerance
+        Rounding bound of the interpolant along a ray, in the unit of the samples: a graze deeper than this is never
+        missed.
+
     Raises
     ------
     BadInput
@@ -65,7 +71,7 @@ class GridField:
         self.kernel = _kernel(kernel)
         self.choice = choose(engine, precision) if isinstance(engine, str) else engine
         self.engine: Engine = self.choice.engine
-        self._tables = _tables(grid, self.kernel, self.engine)
+        self._tables, self.tolerance = _tables(grid, self.kernel, self.engine)
         self._far = self.engine.table(grid.bricks.far)
         self._charts = _ids(grid.chart, self.engine)
         self._parts = _ids(grid.part, self.engine)
@@ -263,18 +269,18 @@ def _kernel(wish: str | Kernel) -> Kernel:
     return wish if isinstance(wish, Kernel) else kernel(wish)
 
 
-def _ids(channel: Int[np.ndarray, "k 8 8 8"] | None, engine: Engine) -> Array | None:
+def _ids(channel: Integer[np.ndarray, "k 8 8 8"] | None, engine: Engine) -> Array | None:
     return None if channel is None else engine.table(channel)
 
 
-def _tables(grid: Grid, kernel: Kernel, engine: Engine) -> Tables:
-    """Prepare what a march looks up."""
+def _tables(grid: Grid, kernel: Kernel, engine: Engine) -> tuple[Tables, float]:
+    """Prepare what a march looks up, and its rounding bound."""
     shape = grid.lattice.shape
     made = stencils(grid.distance, grid.bricks, shape, kernel, engine.eps)
-    bound = tolerance(engine.eps, kernel, made.largest, made.steepest, max(shape))
+    bound = tolerance(engine.eps, kernel, made.largest)
     samples = tuple(engine.uniform(int(n)) for n in shape)
     bricks = tuple(engine.uniform(int(n)) for n in grid.bricks.slot.shape)
-    return Tables(
+    tables = Tables(
         kernel,
         engine.table(grid.bricks.slot),
         engine.table(made.cells),
@@ -283,6 +289,7 @@ def _tables(grid: Grid, kernel: Kernel, engine: Engine) -> Tables:
         bricks,  # type: ignore[arg-type]
         engine.uniform(bound),
     )
+    return tables, bound
 
 
 def _with(tables: Tables, coefficients: Array) -> Tables:

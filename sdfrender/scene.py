@@ -6,7 +6,7 @@ is one sentence that names the file and the key. docs/scenes.md describes every 
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -48,7 +48,7 @@ class Film(_Strict):
     outputs: tuple[Output, ...] = ("rgb",)
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _fits(self) -> "Film":
         if self.size[0] * self.size[1] > MOST_PIXELS:
             raise ValueError(f"{self.size[0]}x{self.size[1]} pixels are more than {MOST_PIXELS}")
         return self
@@ -116,7 +116,7 @@ class Scene(_Strict):
     background: Colour = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
-    def _names_match(self) -> Self:
+    def _names_match(self) -> "Scene":
         known = [texture.name for texture in self.textures]
         for name in known:
             if known.count(name) > 1:

@@ -15,7 +15,7 @@ from itertools import product
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from sdfbake.bricks import SIDE, Bricks
 from sdfrender.kernels import Kernel
@@ -38,14 +38,13 @@ class Stencils:
         (k, S, S, S) float64, S = 7 + taps: coefficients of a brick's cells, starting at the kernel's first tap.
     cells
         (k, 8, 8, 8) uint8: INCOMPLETE, EMPTY or OCCUPIED.
-    largest, steepest
-        Greatest |net coefficient|, and greatest difference of two, over the occupied cells.
+    largest
+        Greatest sum of |weight x coefficient| behind a control point of the occupied cells' nets.
     """
 
     coefficients: Float[np.ndarray, "k S S S"]
-    cells: Int[np.ndarray, "k 8 8 8"]
+    cells: Integer[np.ndarray, "k 8 8 8"]
     largest: float
-    steepest: float
 
 
 def stencils(
@@ -70,21 +69,20 @@ def stencils(
     coefficients = np.empty((len(bricks), size, size, size))
     cells = np.empty((len(bricks), SIDE, SIDE, SIDE), np.uint8)
 
-    def prepare(rows: slice) -> tuple[float, float]:
+    def prepare(rows: slice) -> float:
         index = bricks.index[rows]
         exact = _coefficients(_padded(values, bricks, index, shape, absent="nan"), kernel)
-        kinds, largest, steepest = _classify(exact, kernel, eps)
+        kinds, largest = _classify(exact, kernel, eps)
         kinds[~_has_cell(index, shape)] = INCOMPLETE
         unknown = np.isnan(exact)
         holed = unknown.any(axis=(1, 2, 3))
         bound = _window(_padded(values, bricks, index[holed], shape, absent="far"), kernel)
         exact[holed] = np.where(unknown[holed], bound, exact[holed])
         coefficients[rows], cells[rows] = exact, kinds
-        return largest, steepest
+        return largest
 
-    extremes = _by_chunks(prepare, len(bricks))
-    largest, steepest = np.max(extremes, axis=0, initial=0.0) if extremes else (0.0, 0.0)
-    return Stencils(coefficients, cells, float(largest), float(steepest))
+    largest = max(_by_chunks(prepare, len(bricks)), default=0.0)
+    return Stencils(coefficients, cells, largest)
 
 
 def channel_coefficients(
@@ -111,7 +109,7 @@ def _by_chunks(prepare: Callable[[slice], Result], count: int) -> list[Result]:
 def _padded(
     values: Float[np.ndarray, "k 8 8 8"],
     bricks: Bricks,
-    index: Int[np.ndarray, "m 3"],
+    index: Integer[np.ndarray, "m 3"],
     shape: tuple[int, int, int],
     absent: str,
 ) -> Float[np.ndarray, "m 13 13 13"]:
@@ -138,7 +136,7 @@ def _padded(
     return out
 
 
-def _continue_linearly(padded: Float[np.ndarray, "m 13 13 13"], first: Int[np.ndarray, " m"], count: int, axis: int) -> None:
+def _continue_linearly(padded: Float[np.ndarray, "m 13 13 13"], first: Integer[np.ndarray, " m"], count: int, axis: int) -> None:
     """Continue blocks of one caller's array past the lattice's first and last sample along an axis, in place."""
     blocks = np.moveaxis(padded, axis, 1)
     for start in np.unique(first[(first < 0) | (first + PADDED > count)]):
@@ -180,31 +178,33 @@ def _window(padded: Float[np.ndarray, "m 13 13 13"], kernel: Kernel) -> Float[np
 
 def _classify(
     coefficients: Float[np.ndarray, "m S S S"], kernel: Kernel, eps: float
-) -> tuple[Int[np.ndarray, "m 8 8 8"], float, float]:
-    """Say of every cell whether it may hold surface; also the greatest net coefficient and difference of two.
+) -> tuple[Integer[np.ndarray, "m 8 8 8"], float]:
+    """Say of every cell whether it may hold surface; also what its rounding is relative to.
 
-    First by the extremes of the taps, widened by the kernel's overlap; what is left, by the Bezier net: surface only
-    if the net reaches from below m to above -m, m = 64 eps max |net|, its rounding.
+    First by intervals, one axis after the other; what is left, by the Bezier net itself: surface only if the net
+    reaches from below m to above -m, m = 64 eps max |net|, its rounding.
     """
-    low, high = _extremes(coefficients, kernel.taps, np.minimum), _extremes(coefficients, kernel.taps, np.maximum)
-    widened = (kernel.overlap**3 - 1) / 2 * (high - low) + 64 * eps * np.maximum(np.abs(low), np.abs(high))
+    low, high = _hull(coefficients, kernel)
+    widened = 64 * eps * np.maximum(np.abs(low), np.abs(high))
     kinds = np.where(np.isnan(low), INCOMPLETE, EMPTY).astype(np.uint8)
     asked = np.flatnonzero((low - widened <= 0) & (high + widened >= 0))
     net_of_taps = np.kron(np.kron(kernel.bezier, kernel.bezier), kernel.bezier).T
-    largest = steepest = 0.0
+    magnitudes = np.abs(net_of_taps)
+    largest = 0.0
     for start in range(0, len(asked), 16384):
         cells = asked[start : start + 16384]
-        net = _taps(coefficients, cells, kernel.taps) @ net_of_taps
+        taps = _taps(coefficients, cells, kernel.taps)
+        net = taps @ net_of_taps
         least, most = net.min(axis=1), net.max(axis=1)
         size = np.maximum(np.abs(least), np.abs(most))
         may = (least <= 64 * eps * size) & (most >= -64 * eps * size)
         kinds.ravel()[cells[may]] = OCCUPIED
-        largest, steepest = max(largest, size[may].max(initial=0)), max(steepest, (most - least)[may].max(initial=0))
-    return kinds, float(largest), float(steepest)
+        largest = max(largest, float((np.abs(taps[may]) @ magnitudes).max(initial=0.0)))
+    return kinds, largest
 
 
 def _taps(
-    coefficients: Float[np.ndarray, "m S S S"], cells: Int[np.ndarray, " n"], taps: int
+    coefficients: Float[np.ndarray, "m S S S"], cells: Integer[np.ndarray, " n"], taps: int
 ) -> Float[np.ndarray, "n taps3"]:
     """Gather the coefficients of cells given by their number in the bricks, z fastest."""
     size = coefficients.shape[-1]
@@ -214,17 +214,41 @@ def _taps(
     return coefficients.reshape(-1)[(((brick * size + i) * size + j) * size + k)[:, None] + offset]
 
 
-def _extremes(coefficients: Float[np.ndarray, "m S S S"], taps: int, least: np.ufunc) -> Float[np.ndarray, "m 8 8 8"]:
-    """Least or greatest tap of every cell; NaN where a tap is."""
+def _hull(
+    coefficients: Float[np.ndarray, "m S S S"], kernel: Kernel
+) -> tuple[Float[np.ndarray, "m 8 8 8"], Float[np.ndarray, "m 8 8 8"]]:
+    """Bound the net of every cell by intervals, the Bezier form of one axis after the other; NaN where a tap is."""
+    low = high = coefficients
     for axis in (1, 2, 3):
-        windows = [coefficients[(slice(None),) * axis + (slice(tap, tap + SIDE),)] for tap in range(taps)]
-        coefficients = least(windows[0], windows[1])
-        for window in windows[2:]:
-            least(coefficients, window, out=coefficients)
-    return coefficients
+        lows, highs = (
+            [bound[(slice(None),) * axis + (slice(tap, tap + SIDE),)] for tap in range(kernel.taps)]
+            for bound in (low, high)
+        )
+        rows = [_interval(row, lows, highs) for row in kernel.bezier]
+        low, high = rows[0]
+        for least, most in rows[1:]:
+            low, high = np.minimum(low, least), np.maximum(high, most)
+    return low, high
 
 
-def _has_cell(index: Int[np.ndarray, "m 3"], shape: tuple[int, int, int]) -> np.ndarray:
+def _interval(
+    weights: Float[np.ndarray, " taps"], lows: list[np.ndarray], highs: list[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Combine intervals with weights of either sign."""
+    used = [tap for tap, weight in enumerate(weights) if abs(weight) > 1e-15]  # what rounding left of a zero
+    if len(used) == 1 and weights[used[0]] == 1:
+        return lows[used[0]], highs[used[0]]
+    sums = []
+    for near, far in ((lows, highs), (highs, lows)):
+        ends = [(near if weights[tap] > 0 else far)[tap] for tap in used]
+        total = weights[used[0]] * ends[0]
+        for tap, end in zip(used[1:], ends[1:], strict=True):
+            total += weights[tap] * end
+        sums.append(total)
+    return sums[0], sums[1]
+
+
+def _has_cell(index: Integer[np.ndarray, "m 3"], shape: tuple[int, int, int]) -> np.ndarray:
     """Say which cells of some bricks lie in the lattice: cell i reaches from sample i to i + 1."""
     x, y, z = ((index[:, axis, None] * SIDE + np.arange(SIDE)) < shape[axis] - 1 for axis in range(3))
     return x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]

@@ -67,14 +67,17 @@ def sphere_errors(name: str, n: int, points: np.ndarray) -> np.ndarray:
     ("name", "orders"), [("linear", (2, 1, 0)), ("catmull-rom", (3, 2, 1)), ("bspline", (4, 3, 2))], ids=NAMES
 )
 def test_fitted_orders_of_convergence(name, orders, directions):
-    """The orders of the report, fitted over a factor of 8 in spacing, stopping before float32 storage is seen.
+    """The orders of the report, fitted over a factor of 3 in spacing, stopping before float32 storage is seen.
 
-    0.2 is the spread that the missing higher-order terms leave on these grids; the next order is a whole 1 away.
+    0.2 is the spread that higher-order terms leave on these grids; the next order is a whole 1 away. The B-spline's
+    gradient has a third-order term so small that the fourth still shows: 3.7 falling to 3.3 from 64 to 192.
     """
-    sizes = np.array([24, 48, 96, 192] if name != "bspline" else [24, 48, 96])
+    sizes = [64, 96, 128, 192]
     errors = np.array([sphere_errors(name, n, directions * 0.8) for n in sizes])
-    fitted = [-np.polyfit(np.log(sizes - 1), np.log(errors[:, i]), 1)[0] for i in range(3)]
-    assert np.abs(np.array(fitted) - orders).max() < 0.25, fitted
+    fitted = [-np.polyfit(np.log(np.array(sizes) - 1), np.log(errors[:, i]), 1)[0] for i in range(3)]
+    above = np.array([0.2, 0.6 if name == "bspline" else 0.2, 0.2])
+    assert (np.array(fitted) > np.array(orders) - 0.2).all(), fitted
+    assert (np.array(fitted) < np.array(orders) + above).all(), fitted
 
 
 def test_shape_operator_of_the_sphere_at_64(directions):

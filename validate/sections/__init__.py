@@ -1,0 +1,1 @@
+"""What the report says about each experiment: one file each, with `section(runs) -> Section`."""

@@ -1,0 +1,162 @@
+"""What the report says about footprints, grid against mesh and against closed forms."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from validate import plots
+from validate.experiment import Run
+from validate.plots import Map
+from validate.section import Headline, Picture, Section, Table, number, percent, pick
+
+TITLE = "Footprints: the grid against the mesh"
+ASKED = (
+    "Is the footprint that a ray carries to the texture the right one? Primary rays are compared with ray "
+    "differentials over the mesh itself (Embree names the face, everything else is computed anew in float64). For "
+    "rays that a curved mirror has turned, the exact shape is truth, in closed form, and meshes with facets or with "
+    "interpolated normals are contenders like the grids. Footprints are in texels of a 1024 x 1024 texture per pixel."
+)
+NOTES = (
+    "Texture coordinates are interpolated as Galim 2018 does it, across the cuts of the atlas too: pixels whose "
+    "stencil crosses a cut (SEAM) are wrong by construction. The tables give all pixels, and those inside charts.",
+    "A mesh with interpolated normals is not an optical surface; it stands here for what renderers do today.",
+)
+COLUMNS = (
+    ("hit, voxel p50", "hit_error.p50"),
+    ("p99", "hit_error.p99"),
+    ("normal, ° p50", "normal_angle.p50"),
+    ("J error p50", "jacobian_error.p50"),
+    ("LoD mean", "lod_error.mean"),
+    ("p50", "lod_error.p50"),
+    ("p95", "lod_error.p95"),
+    ("p99", "lod_error.p99"),
+)
+SHARES = (
+    ("> 0.5", "lod_error.share>0.5"),
+    ("> 1", "lod_error.share>1"),
+    ("chart differs", "chart_mismatch"),
+    ("SEAM", "seam"),
+    ("missed", "missed"),
+)
+INSIDE = (
+    ("J error p50", "inside.jacobian_error.p50"),
+    ("p95", "inside.jacobian_error.p95"),
+    ("LoD mean", "inside.lod_error.mean"),
+    ("p50", "inside.lod_error.p50"),
+    ("p95", "inside.lod_error.p95"),
+    ("p99", "inside.lod_error.p99"),
+    ("singular ratio p95", "inside.singular_ratio.p95"),
+    ("axis, ° p50", "inside.axis_angle.p50"),
+    ("W2 p50", "inside.wasserstein.p50"),
+)
+# Errors below a hundredth of a mip level cannot be seen; four levels is as wrong as it gets.
+LIMITS = (0.01, 4.0)
+
+
+def section(runs: Sequence[Run]) -> Section:
+    """Write the section."""
+    problems = {problem: _ordered([run for run in runs if run.problem == problem]) for problem in _problems(runs)}
+    problems = {problem: found for problem, found in problems.items() if found}
+    pictures, tables = [], []
+    for problem, found in problems.items():
+        pictures.extend(_maps(problem, found))
+        tables.append(_table(f"{problem}, all pixels", found, COLUMNS, SHARES))
+        tables.append(_table(f"{problem}, inside charts", found, INSIDE, ()))
+    finding = tuple(_finding(problem, found) for problem, found in problems.items())
+    return Section(
+        name="footprints",
+        title=TITLE,
+        asked=ASKED,
+        finding=finding or ("No run succeeded.",),
+        headlines=_headlines(problems),
+        pictures=tuple(pictures),
+        tables=tuple(tables),
+        notes=NOTES,
+    )
+
+
+def _problems(runs: Sequence[Run]) -> list[str]:
+    """Primary rays first."""
+    return sorted(dict.fromkeys(run.problem for run in runs), key=lambda problem: "primary" not in problem)
+
+
+def _ordered(runs: Sequence[Run]) -> list[Run]:
+    """Meshes, then grids by resolution, those of exact shapes first."""
+    routes = ("mesh, facets", "mesh, interpolated normals", "exact grid", "baked grid")
+    return sorted(
+        pick(runs), key=lambda run: (run.knob.get("resolution", 0.0), routes.index(run.setup["route"]), label(run))
+    )
+
+
+def label(run: Run) -> str:
+    """Name of a setup: route, kernel, resolution."""
+    resolution = f"{run.knob['resolution']:g}³" if "resolution" in run.knob else ""
+    return ", ".join(word for word in (run.setup["route"], run.setup.get("kernel", ""), resolution) if word)
+
+
+def _table(
+    caption: str, found: Sequence[Run], columns: Sequence[tuple[str, str]], shares: Sequence[tuple[str, str]]
+) -> Table:
+    rows = tuple(
+        (
+            label(run),
+            *(number(run.values.get(key)) for _, key in columns),
+            *(percent(run.values.get(key)) for _, key in shares),
+        )
+        for run in found
+    )
+    return Table(caption, ("Route", *(title for title, _ in columns), *(title for title, _ in shares)), rows)
+
+
+def _maps(problem: str, found: Sequence[Run]) -> list[Picture]:
+    panels = []
+    for run in found:
+        if run.artefact:
+            with np.load(run.artefact, allow_pickle=False) as arrays:
+                panels.append(Map(label(run), arrays["lod_error"].astype(np.float32)))
+    if not panels:
+        return []
+    seen = np.any([np.isfinite(panel.values) for panel in panels], axis=0)
+    panels = [Map(panel.title, _cropped(panel.values, seen)) for panel in panels]
+    text = f"{problem}: error of the level of detail per pixel; pale where there is nothing to compare."
+    columns = 5 if len(panels) > 4 else 4
+    return [Picture(plots.maps(panels, "|LoD - LoD*|, mip levels", LIMITS, columns), text)]
+
+
+def _cropped(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """The rows and columns that hold anything, and a few around them."""
+    rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
+    if len(rows) == 0:
+        return values
+    return values[max(rows[0] - 4, 0) : rows[-1] + 5, max(columns[0] - 4, 0) : columns[-1] + 5]
+
+
+def _finding(problem: str, found: Sequence[Run]) -> str:
+    complete = [run for run in found if "inside.lod_error.p50" in run.values]
+    if not complete:
+        return f"{problem}: no route has a pixel to compare."
+    best = min(complete, key=lambda run: run.values["inside.lod_error.p50"])
+    sentence = (
+        f"{problem}: nearest to the truth inside charts is {label(best)}, with a level-of-detail error of "
+        f"{number(best.values['inside.lod_error.p50'])} (median) and {number(best.values['inside.lod_error.p95'])} "
+        f"(95 %)"
+    )
+    grids = [run for run in complete if "grid" in run.setup["route"]]
+    if grids:
+        worst = max(grids, key=lambda run: run.values["lod_error.share>0.5"])
+        share = percent(worst.values["lod_error.share>0.5"])
+        sentence += f"; the worst grid, {label(worst)}, is off by more than half a level in {share} of all pixels"
+    return sentence + "."
+
+
+def _headlines(problems: dict[str, list[Run]]) -> tuple[Headline, ...]:
+    lines = []
+    for problem, found in problems.items():
+        for run in found:
+            fine = run.setup.get("kernel") == "bspline" and run.knob.get("resolution") == 512
+            if fine and "inside.lod_error.p50" in run.values:
+                truth = "the mesh by Embree" if "primary" in problem else "the exact shape, closed form"
+                p50, p95 = (number(run.values[f"inside.lod_error.{name}"]) for name in ("p50", "p95"))
+                what = f"{problem}, {run.setup['route']} 512³, B-spline: level-of-detail error inside charts, p50 / p95"
+                lines.append(Headline(what, f"{p50} / {p95}", truth))
+    return tuple(lines)

@@ -1,0 +1,6 @@
+"""The experiments, one file each; `SUITES` names them in the order of the report.
+
+Each file has `run(bench) -> Iterator[Run]` and is imported only when it is asked for.
+"""
+
+SUITES = ("figures", "footprints", "convergence", "frontier", "engines", "opinion")
