@@ -13,7 +13,7 @@ from sdfrender.rays import Beam
 from sdfrender.vector import Vector, dot
 
 Pair = tuple[Array, Array]
-SMALLEST = 1e-30  # texels: what a footprint of no extent is taken for, so that its logarithm is a number
+SMALLEST = 1e-18  # texels: what a footprint of no extent is taken for; its square is a float32, its logarithm a number
 
 
 def derivatives(mapped: Mapped, beam: Beam) -> tuple[Pair, Pair]:

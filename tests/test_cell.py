@@ -36,13 +36,13 @@ def search(choice, polynomials, sign=0.0, bound=None):
 
     def program(xp, *columns):
         polynomial, sign = columns[:count], columns[count]
-        bracket, after = isolate(xp, polynomial, sign, columns[count + 1], xp.full(sign, True))
+        bracket, after = isolate(xp, polynomial, sign, xp.uniform(float(bound)), xp.full(sign, True))
         s = refine(xp, polynomial, bracket)
         found = xp.integer(bracket.found)
         return {"found": found, "s": s, "low": bracket.low, "high": bracket.high, "after": after}
 
     signs = np.broadcast_to(np.asarray(sign, float), n)
-    return choice.engine.run(program, [*polynomials.T, signs, np.full(n, float(bound))])
+    return choice.engine.run(program, [*polynomials.T, signs])
 
 
 @pytest.mark.parametrize("name", NAMES)

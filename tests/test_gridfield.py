@@ -137,7 +137,7 @@ def test_affine_texture_coordinates_come_back(name, choice, rng):
     Coordinates are stored to half a float32 unit, 6e-8 at 1; overlaps of up to 2, and prefilters of (5/3)^3, make 3e-7
     of it. Positions add their own rounding, 100 units in the last place; gradients have weights of 4 per spacing.
     """
-    grid = Grid.from_function(sheet(), 48)
+    grid = Grid.from_function(sheet((2.0, 2.0), 0.6), 48)  # thick: the stencils must not see the back's coordinates
     field = GridField(grid, name, choice)
     points = np.append(rng.uniform(-0.6, 0.6, (300, 2)), rng.uniform(-0.02, 0.02, (300, 1)), axis=1)
     uv, gradient, chart = field.uv(points)

@@ -76,7 +76,9 @@ def reference(scene: Path, name: str, output: Path) -> None:
     with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True) as bar:
         task = bar.add_task("reference", total=None)
         arrays = render(
-            scene, field=ShapeField(shape(name)), progress=lambda done, total: bar.update(task, completed=done, total=total)
+            scene,
+            field=ShapeField(shape(name)),
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     write_exr(output, arrays)
     write_png(output.with_suffix(".png"), arrays["rgb"])
