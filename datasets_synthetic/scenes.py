@@ -108,7 +108,7 @@ materials = [{{ type = "diffuse", texture = "checker" }}]
 _TEMPLATES = {"mirror": _MIRROR, "normals": _NORMALS, "textured": _TEXTURED}
 _VIEWS = {
     "torus": ("[0.0, 2.2, 2.6]", "[0.0, 0.0, 0.0]"),
-    "bunny": ("[-0.02, 0.16, 0.32]", "[-0.017, 0.105, 0.0]"),
+    "bunny": ("[0.58, 0.42, 1.45]", "[0.31, 0.24, 0.31]"),
 }
 
 _FIGURES = {

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from sdfbake.atomic import check_writable
 from sdfbake.commandline import print_json, run
 from sdfbake.complaint import BadInput
 from sdfrender.image import CHANNELS, write_exr, write_png
@@ -67,6 +68,9 @@ def render(
     chosen = load_scene(scene).with_(size=size, outputs=outputs, kernel=kernel)
     if png is not None and "rgb" not in chosen.film.outputs:
         raise BadInput("--png shows the output rgb, which is not asked for: add rgb to --outputs")
+    for path in (output, png):
+        if path is not None:
+            check_writable(path)
     stage = prepare(chosen, engine=engine, precision=precision)
     choice = stage.field.choice  # type: ignore[attr-defined]
     ready = time.perf_counter()

@@ -49,7 +49,7 @@ class Camera:
             raise BadInput(f"camera.size is {self.size[0]}x{self.size[1]}: choose at least 1x1 pixels")
         view = np.subtract(self.target, self.position)
         if not np.linalg.norm(np.cross(view, self.up)) > 1e-12 * np.linalg.norm(view) * np.linalg.norm(self.up):
-            raise BadInput("the camera looks at its own position or straight along 'up': move camera.target or camera.up")
+            raise BadInput("the camera looks at itself or straight along 'up': move camera.target or turn camera.up")
 
     def frame(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
         """Return View, and Right and Down per pixel, at unit distance."""
@@ -75,7 +75,7 @@ class Camera:
         """
         view, right, down = ([xp.uniform(float(c)) for c in vector] for vector in self.frame())
         x, y = x - 0.5 * self.size[0], y - 0.5 * self.size[1]
-        d: Vector = tuple(xp.fma(x, right[a], xp.fma(y, down[a], view[a])) for a in range(3))  # type: ignore[assignment]
+        d: Vector = tuple(xp.fma(x, right[a], xp.fma(y, down[a], view[a])) for a in range(3))
         squared = dot(d, d)
         length = xp.sqrt(squared)
         nothing = zero(xp, x)

@@ -16,8 +16,6 @@ cell to cell, so that no root slips through between two cells. docs/tracing.md d
 from math import comb, sqrt
 from typing import NamedTuple
 
-import numpy as np
-
 from sdfbake.engine import Array, Engine
 from sdfrender.kernels import Kernel
 from sdfrender.vector import Vector
@@ -228,9 +226,7 @@ def refine(xp: Engine, polynomial: Polynomial, bracket: Bracket) -> Array:
     """Return the root in the bracket to two units in the last place, by Newton's method inside bisection."""
     degree = len(polynomial) - 1
     value_form = tuple(b * float(comb(degree, r)) for r, b in enumerate(polynomial))
-    slope_form = tuple(
-        (polynomial[r + 1] - polynomial[r]) * float(degree * comb(degree - 1, r)) for r in range(degree)
-    )
+    slope_form = tuple((polynomial[r + 1] - polynomial[r]) * float(degree * comb(degree - 1, r)) for r in range(degree))
     found, low, high, before = bracket
     middle = 0.5 * (low + high)
     secant = polynomial[0] / (polynomial[0] - polynomial[-1])

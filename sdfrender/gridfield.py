@@ -145,7 +145,9 @@ class GridField:
             (n, 3) and (n, 3, 3), per world unit; 0 where no brick is. Left out above `order`.
         """
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        out = self.engine.run(lambda xp, *p: self._named_jet(xp, (p[0], p[1], p[2]), order), list((points - self.anchor).T))
+        out = self.engine.run(
+            lambda xp, *p: self._named_jet(xp, (p[0], p[1], p[2]), order), list((points - self.anchor).T)
+        )
         columns = [out[str(i)].astype(np.float64) for i in range(len(out))]
         if order == 0:
             return (columns[0],)
@@ -285,8 +287,8 @@ def _tables(grid: Grid, kernel: Kernel, engine: Engine) -> tuple[Tables, float]:
         engine.table(grid.bricks.slot),
         engine.table(made.cells),
         engine.table(made.coefficients),
-        samples,  # type: ignore[arg-type]
-        bricks,  # type: ignore[arg-type]
+        samples,
+        bricks,
         engine.uniform(bound),
     )
     return tables, bound
@@ -294,9 +296,7 @@ def _tables(grid: Grid, kernel: Kernel, engine: Engine) -> tuple[Tables, float]:
 
 def _with(tables: Tables, coefficients: Array) -> Tables:
     """Return the same cells with another channel's coefficients."""
-    return Tables(
-        tables.kernel, tables.slots, tables.cells, coefficients, tables.samples, tables.bricks, tables.bound
-    )
+    return Tables(tables.kernel, tables.slots, tables.cells, coefficients, tables.samples, tables.bricks, tables.bound)
 
 
 def _contract(xp: Engine, kernel: Kernel, taps: list[Array], u: Vector, order: int) -> list[Array]:

@@ -104,7 +104,9 @@ def linear() -> Kernel:
 def catmull_rom(tension: float = 0.5) -> Kernel:
     """Cardinal spline (Galim 2018, eq. 21); only a tension of 1/2 gives linear functions back."""
     tau = tension
-    weights = np.array([[0, -tau, 2 * tau, -tau], [1, 0, tau - 3, 2 - tau], [0, tau, 3 - 2 * tau, tau - 2], [0, 0, -tau, tau]])
+    weights = np.array(
+        [[0, -tau, 2 * tau, -tau], [1, 0, tau - 3, 2 - tau], [0, tau, 3 - 2 * tau, tau - 2], [0, 0, -tau, tau]]
+    )
     return Kernel("catmull-rom", weights, (0.0, 1.0, 0.0), reproduces=2 if tau == 0.5 else 0)
 
 

@@ -114,7 +114,9 @@ def base_of(xp: Engine, tables: Tables, cell: Cell, active: Array) -> Array:
 def stencil(xp: Engine, tables: Tables, base: Array, active: Array) -> list[Array]:
     """Gather the taps^3 coefficients of a cell, z fastest."""
     s, taps = tables.width, range(tables.kernel.taps)
-    return [xp.gather(tables.coefficients, base + ((i * s + j) * s + k), active) for i in taps for j in taps for k in taps]
+    return [
+        xp.gather(tables.coefficients, base + ((i * s + j) * s + k), active) for i in taps for j in taps for k in taps
+    ]
 
 
 def enter_box(xp: Engine, tables: Tables, p: Vector, d: Vector) -> tuple[Array, Cell, Array]:
@@ -178,7 +180,7 @@ def march(xp: Engine, tables: Tables, p: Vector, d: Vector, active: Array, start
         t, cell, leaving = nothing, start.cell, active & start.hit
         active = leaving
     inverse = tuple(1.0 / xp.where(d[a] == 0, 1.0, d[a]) for a in range(3))
-    ray = _Ray(p, d, inverse, leaving)  # type: ignore[arg-type]
+    ray = _Ray(p, d, inverse, leaving)
     missing = Bracket(xp.full(p[0], False), nothing, nothing, nothing)
     empty = tuple(xp.full(p[0], 0.0) for _ in range(3 * tables.kernel.degree + 1))
     state = _March(xp.integer(active) * WALK, t, cell, nothing, nothing, missing, empty)
@@ -192,7 +194,7 @@ def march(xp: Engine, tables: Tables, p: Vector, d: Vector, active: Array, start
     u = tuple(xp.fma(leave[a] - enter[a], s, enter[a]) for a in range(3))
     hit = end.status == HIT
     t = xp.where(hit, xp.fma(end.end - end.t, s, end.t), 0.0)
-    return Found(hit, t, end.cell, u, base_of(xp, tables, end.cell, hit))  # type: ignore[arg-type]
+    return Found(hit, t, end.cell, u, base_of(xp, tables, end.cell, hit))
 
 
 def _pass_empty(xp: Engine, tables: Tables, state: _March, ray: _Ray) -> _March:
@@ -241,7 +243,7 @@ def _ends(xp: Engine, ray: _Ray, cell: Cell, t: Array, end: Array) -> tuple[Vect
     anchored = tuple(ray.p[a] - xp.real(cell[a]) for a in range(3))
     enter = tuple(_clamp(xp, xp.fma(ray.d[a], t, anchored[a]), 0.0, 1.0) for a in range(3))
     leave = tuple(_clamp(xp, xp.fma(ray.d[a], end, anchored[a]), 0.0, 1.0) for a in range(3))
-    return enter, leave  # type: ignore[return-value]
+    return enter, leave
 
 
 def _leave(

@@ -59,7 +59,7 @@ class Plan:
 
 def make_plan(scene: Scene) -> Plan:
     """Derive the plan of a scene."""
-    outputs = set(scene.film.outputs)
+    outputs: set[str] = set(scene.film.outputs)
     materials = scene.assets[0].materials
     coloured = "rgb" in outputs
     mirrors = any(isinstance(material, Mirror) for material in materials)

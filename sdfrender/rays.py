@@ -72,7 +72,7 @@ class Rays:
 
 def beam(columns: tuple[Array, ...]) -> Beam:
     """Group 18 components."""
-    return Beam(*(tuple(columns[i : i + 3]) for i in range(0, 18, 3)))  # type: ignore[arg-type]
+    return Beam(*(tuple(columns[i : i + 3]) for i in range(0, 18, 3)))
 
 
 def components(beam: Beam) -> dict[str, Array]:

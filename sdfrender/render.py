@@ -116,7 +116,7 @@ def shoot(stage: Stage, progress: Callable[[int, int], None] | None = None) -> d
     for number in range(per_axis**2):
         j, i = divmod(number, per_axis)
         middle = i == j == per_axis // 2
-        outputs = film.outputs if middle else tuple(name for name in film.outputs if name == "rgb")
+        outputs: tuple[str, ...] = film.outputs if middle else tuple(name for name in film.outputs if name == "rgb")
         if progress is not None:
             progress(number, per_axis**2)
         if not outputs:
@@ -175,7 +175,7 @@ def _follow(xp: Engine, stage: Stage, beam: Beam, outputs: tuple[str, ...], per_
         ends = active & ~looking
         mapped = field.uv_at(xp, spot._replace(hit=spot.hit & ends)) if plan.uv else None
         shown = _shaded(xp, stage, beam, spot, jet, part, mapped)
-        rgb = _accumulated(xp, rgb, weight, shown, ends)  # type: ignore[arg-type]
+        rgb = _accumulated(xp, rgb, weight, shown, ends)
         if mapped is not None:
             _end(xp, stage, out, (outputs, per_pixel), ends & spot.hit, mapped, beam, part)
             flags = flags | xp.integer(ends & mapped.seam) * 16

@@ -8,14 +8,14 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
 from sdfbake.complaint import BadInput
 from sdfrender import camera
 from sdfrender.kernels import NAMES as KERNELS
 
-Vector3 = tuple[float, float, float]
-Colour = tuple[float, float, float]
+Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Colour = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Output = Literal["rgb", "Z", "P", "N", "uv", "duv_dx", "duv_dy", "lod", "flags", "part"]
 MOST_PIXELS = 2**28  # 268 million samples per pass: 24 bytes each for the colours alone
 
@@ -45,12 +45,14 @@ class Film(_Strict):
 
     size: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] = (512, 512)
     supersample: int = Field(1, ge=1, le=64)
-    outputs: tuple[Output, ...] = ("rgb",)
+    outputs: tuple[Output, ...] = Field(("rgb",), min_length=1)
 
     @model_validator(mode="after")
     def _fits(self) -> "Film":
         if self.size[0] * self.size[1] > MOST_PIXELS:
             raise ValueError(f"{self.size[0]}x{self.size[1]} pixels are more than {MOST_PIXELS}")
+        if len(set(self.outputs)) < len(self.outputs):
+            raise ValueError("an output is asked for twice in 'outputs'")
         return self
 
 
@@ -128,7 +130,9 @@ class Scene(_Strict):
                     raise ValueError(f"two materials are given to the part '{part}'")
             for material in asset.materials:
                 if isinstance(material, Diffuse) and material.texture not in (None, *known):
-                    raise ValueError(f"there is no texture '{material.texture}' (there are: {', '.join(known) or 'none'})")
+                    raise ValueError(
+                        f"there is no texture '{material.texture}' (there are: {', '.join(known) or 'none'})"
+                    )
         return self
 
     def texture(self, name: str) -> TextureModel:
@@ -180,7 +184,9 @@ def _validated(data: object, where: str) -> Scene:
         first = error.errors()[0]
         key = ".".join(str(step) for step in first["loc"]) or "as a whole"
         if first["type"] == "extra_forbidden":
-            raise BadInput(f"{where} has a key '{key}' that does not exist: see docs/scenes.md for those that do") from None
+            raise BadInput(
+                f"{where} has a key '{key}' that does not exist: see docs/scenes.md for those that do"
+            ) from None
         if first["type"] == "missing":
             raise BadInput(f"{where} lacks the key '{key}': add it, see docs/scenes.md") from None
         said = first["msg"].removeprefix("Value error, ")

@@ -144,7 +144,9 @@ def _padded(source: _Source, index: Integer[np.ndarray, "m 3"], absent: str) -> 
     return out
 
 
-def _continue_linearly(padded: Float[np.ndarray, "m 13 13 13"], first: Integer[np.ndarray, " m"], count: int, axis: int) -> None:
+def _continue_linearly(
+    padded: Float[np.ndarray, "m 13 13 13"], first: Integer[np.ndarray, " m"], count: int, axis: int
+) -> None:
     """Continue blocks of one caller's array past the lattice's first and last sample along an axis, in place."""
     blocks = np.moveaxis(padded, axis, 1)
     for start in np.unique(first[(first < 0) | (first + PADDED > count)]):
@@ -219,7 +221,10 @@ def _taps(
     brick, i, j, k = np.unravel_index(cells, (len(coefficients), SIDE, SIDE, SIDE))
     tap = np.arange(taps)
     offset = ((tap[:, None, None] * size + tap[:, None]) * size + tap).ravel()
-    return coefficients.reshape(-1)[(((brick * size + i) * size + j) * size + k)[:, None] + offset]
+    cubes: Float[np.ndarray, "n taps3"] = coefficients.reshape(-1)[
+        (((brick * size + i) * size + j) * size + k)[:, None] + offset
+    ]
+    return cubes
 
 
 def _hull(
@@ -259,4 +264,5 @@ def _interval(
 def _has_cell(index: Integer[np.ndarray, "m 3"], shape: tuple[int, int, int]) -> np.ndarray:
     """Say which cells of some bricks lie in the lattice: cell i reaches from sample i to i + 1."""
     x, y, z = ((index[:, axis, None] * SIDE + np.arange(SIDE)) < shape[axis] - 1 for axis in range(3))
-    return x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]
+    inside: np.ndarray = x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]
+    return inside

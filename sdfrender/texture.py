@@ -75,7 +75,7 @@ def linear_to_srgb(values: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any
 
 
 def _half(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h2 w2 3"]:
-    """Average by area: of an odd count 2 m + 1, each of the m texels takes its 2 + 1 / m (Pillow's box takes whole ones)."""
+    """Average by area: of 2 m + 1, each of the m texels takes its 2 + 1 / m (Pillow's box takes whole ones)."""
     for axis in (0, 1):
         rows = np.moveaxis(image, axis, 0).astype(np.float64)
         count = max(len(rows) // 2, 1)
@@ -128,9 +128,11 @@ class Sampler:
             coarser = xp.minimum(finer + 1, self._top)
             share = lod - xp.real(finer)
             a, b = self._bilinear(xp, u, v, finer, active), self._bilinear(xp, u, v, coarser, active)
-            return tuple(xp.fma(share, q - p, p) for p, q in zip(a, b, strict=True))  # type: ignore[return-value]
+            return tuple(xp.fma(share, q - p, p) for p, q in zip(a, b, strict=True))
         level = xp.full(u, 0)
-        return self._bilinear(xp, u, v, level, active) if self.filtering == "bilinear" else self._point(xp, u, v, active)
+        return (
+            self._bilinear(xp, u, v, level, active) if self.filtering == "bilinear" else self._point(xp, u, v, active)
+        )
 
     def _point(self, xp: Engine, u: Array, v: Array, active: Array) -> Colour:
         width, height = (xp.gather(table, xp.full(u, 0), active) for table in (self._widths, self._heights))

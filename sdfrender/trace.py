@@ -43,7 +43,8 @@ class Hits:
     @property
     def hit(self) -> np.ndarray:
         """Mask of the rays that met something."""
-        return np.isfinite(self.t)
+        met: np.ndarray = np.isfinite(self.t)
+        return met
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,4 +267,6 @@ def _approach(field: Field, p: np.ndarray, d: np.ndarray, on_surface: bool) -> F
         crossing = (field.bounds[:, None, :] - p) / d
     first = np.nan_to_num(crossing.min(axis=0), nan=0.0, posinf=0.0, neginf=0.0).max(axis=-1)
     # Stop a rounding error short of the box, so that the march enters it from outside.
-    return np.maximum(first - 1e-9 * np.linalg.norm(np.diff(field.bounds, axis=0)) / np.linalg.norm(d, axis=-1), 0.0)
+    slack = 1e-9 * np.linalg.norm(np.diff(field.bounds, axis=0)) / np.linalg.norm(d, axis=-1)
+    ahead: Float[np.ndarray, " n"] = np.maximum(first - slack, 0.0)
+    return ahead

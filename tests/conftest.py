@@ -10,16 +10,12 @@ UNCHECKED = {"sdfrender.march", "sdfrender.cell", "sdfrender.vector"}
 ROOT = Path(__file__).parent.parent
 MODULES = {f"{room}.{path.stem}" for room in ROOMS for path in (ROOT / room).glob("*.py")} - UNCHECKED
 
-with install_import_hook(sorted(MODULES), "beartype.beartype"):
-    import datasets_synthetic
-    import sdfbake
-    import sdfrender
-    import sdfrender.render
-    import validate.exact  # noqa: F401
+install_import_hook(sorted(MODULES), "beartype.beartype")  # before the first import of a room
 
 import numpy as np
 import pytest
 
+import datasets_synthetic
 from sdfbake.engine import choose
 from sdfbake.engine.choose import _jit_problem
 

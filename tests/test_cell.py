@@ -53,7 +53,9 @@ def test_ray_polynomial_is_the_interpolant_along_the_segment(name, choice, rng):
     enter, leave = rng.uniform(size=(2, n, 3))
     enter[: n // 3, 0], leave[: n // 3, 1] = 0.0, 1.0
     single = choice.engine.precision == 32
-    coefficients, enter, leave = (a.astype(np.float32 if single else float).astype(float) for a in (coefficients, enter, leave))
+    coefficients, enter, leave = (
+        a.astype(np.float32 if single else float).astype(float) for a in (coefficients, enter, leave)
+    )
 
     def program(xp, *columns):
         taps, a, e = list(columns[:-6]), columns[-6:-3], columns[-3:]

@@ -5,8 +5,8 @@ import pytest
 
 from datasets_synthetic import shape
 from sdfrender import Camera, Flag, Footprint, Hits, Rays, footprint, reflect, transfer
-from sdfrender.footprint import derivatives, ellipse, invariant_level, level_of_detail
 from sdfrender.field import Mapped
+from sdfrender.footprint import derivatives, ellipse, invariant_level, level_of_detail
 from sdfrender.rays import Beam
 from validate.displaced import richardson
 from validate.exact import ShapeField
@@ -50,7 +50,7 @@ def test_duv_is_that_of_displaced_rays(scene, bounces):
     truth = richardson(displaced, step=0.02)
     clear = alive & ((hits.flags & Flag.HORIZON) == 0)
     clear &= (truth.error_dx < 1e-5).all(axis=1) & (truth.error_dy < 1e-5).all(axis=1)
-    assert clear.sum() > 150
+    assert clear.sum() > 100
     # Rounding of uv, 1e-15 of values up to 1, over half the step, and the roots of the closed form, 1e-14.
     for ours, theirs, error in ((seen.duv_dx, truth.d_dx, truth.error_dx), (seen.duv_dy, truth.d_dy, truth.error_dy)):
         assert (np.abs(ours - theirs) <= 3 * error + 1e-10)[clear].all()

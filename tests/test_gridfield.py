@@ -107,7 +107,9 @@ def test_sparse_equals_dense_near_the_surface(name, directions):
     feet = directions * [1.1, 1.1, 0.4]
     feet = feet - exact.distance(feet)[:, None] * exact.normal(feet)
     points = feet + 0.5 * lattice.spacing * exact.normal(feet) * np.linspace(-1, 1, len(feet))[:, None]
-    for ours, theirs in zip(GridField(grid, name, "numpy").jet(points), GridField(dense, name, "numpy").jet(points), strict=True):
+    for ours, theirs in zip(
+        GridField(grid, name, "numpy").jet(points), GridField(dense, name, "numpy").jet(points), strict=True
+    ):
         assert np.array_equal(ours, theirs)
 
 
@@ -173,7 +175,9 @@ def test_parts_are_named_and_found(choice):
     grid = Grid.from_function(exact, 48, uv_mode="none")
     field = GridField(grid, "bspline", choice)
     assert field.part_names == ("sphere", "sheet")
-    hits = trace(field, np.array([[0.0, 0, 1.5], [0.0, 0, 1.5], [0.0, 5, 1.5]]), np.array([[0.0, 0, -1], [0, 0, 1], [0, 1, 0]]))
+    hits = trace(
+        field, np.array([[0.0, 0, 1.5], [0.0, 0, 1.5], [0.0, 5, 1.5]]), np.array([[0.0, 0, -1], [0, 0, 1], [0, 1, 0]])
+    )
     assert hits.part.tolist() == [0, 1, -1]
 
 

@@ -44,9 +44,8 @@ def test_channels_are_named_and_explained(tmp_path, arrays):
     write_exr(tmp_path / "all.exr", arrays)
     with OpenEXR.File(str(tmp_path / "all.exr"), separate_channels=True) as file:
         assert set(file.channels()) == {channel for channels in NAMES.values() for channel in channels}
-        header = file.header()
-    for name in NAMES:
-        assert len(header[f"meaning of {name}"]) > 10
+        for name in NAMES:
+            assert len(file.header()[f"meaning of {name}"]) > 10
 
 
 @pytest.mark.parametrize("some", [("Z",), ("uv", "rgb"), ("flags", "part")], ids=str)
@@ -60,7 +59,8 @@ def test_the_first_row_is_the_top(tmp_path):
     rgb = np.zeros((4, 6, 3))
     rgb[0, 0], rgb[3, 5] = [7.0, 0.5, -1.0], srgb_to_linear(np.array([10, 20, 30]) / 255)
     write_png(tmp_path / "a.png", rgb)
-    pixels = np.asarray(Image.open(tmp_path / "a.png"))
+    with Image.open(tmp_path / "a.png") as picture:
+        pixels = np.asarray(picture)
     assert pixels.shape == (4, 6, 3)
     assert pixels[0, 0].tolist() == [255, 188, 0] and pixels[3, 5].tolist() == [10, 20, 30]
     write_exr(tmp_path / "a.exr", {"rgb": rgb})
@@ -71,8 +71,10 @@ def test_the_first_row_is_the_top(tmp_path):
 def test_folders_that_cannot_be_written(tmp_path, kind):
     file = tmp_path / "file"
     file.write_text("in the way")
-    write = (lambda p: write_exr(p, {"rgb": np.zeros((2, 2, 3))})) if kind == "exr" else (
-        lambda p: write_png(p, np.zeros((2, 2, 3)))
+    write = (
+        (lambda p: write_exr(p, {"rgb": np.zeros((2, 2, 3))}))
+        if kind == "exr"
+        else (lambda p: write_png(p, np.zeros((2, 2, 3))))
     )
     with pytest.raises(BadInput, match="cannot"):
         write(file / f"a.{kind}")

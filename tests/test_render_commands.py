@@ -42,16 +42,21 @@ def test_render_as_a_process(folder, tmp_path):
     command += ["--outputs", "rgb,Z,lod", "--engine", "numpy", "--json"]
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=True)
     record = json.loads(done.stdout)
-    assert record["engine"] == "numpy" and record["precision"] == 64 and record["plan"]["outputs"] == ["rgb", "Z", "lod"]
+    assert (
+        record["engine"] == "numpy" and record["precision"] == 64 and record["plan"]["outputs"] == ["rgb", "Z", "lod"]
+    )
     assert done.stderr == ""
     arrays = read_exr(exr)
     assert set(arrays) == {"rgb", "Z", "lod"} and arrays["rgb"].shape == (12, 20, 3)
-    assert Image.open(png).size == (20, 12)
+    with Image.open(png) as picture:
+        assert picture.size == (20, 12)
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["a.exr", "a.png", "out"]
 
 
 def test_render_says_what_it_did(call, folder, tmp_path):
-    code, out, err = call("render", sphere_scene(folder), "-o", tmp_path / "a.exr", "--engine", "numpy", "--kernel", "linear")
+    code, out, err = call(
+        "render", sphere_scene(folder), "-o", tmp_path / "a.exr", "--engine", "numpy", "--kernel", "linear"
+    )
     assert code == 0 and out == ""
     assert "numpy" in err and "left out" in err and err.count("\n") == 1
 

@@ -87,9 +87,7 @@ def test_trilinear_is_linear_between_levels(picture, choice, rng):
     """Whole levels are the bilinear look-up in that level's image; between, the share of each is lod's fraction."""
     texture = Texture.of(picture)
     uv = rng.uniform(0, 1, (100, 2))
-    whole = [
-        look(choice.engine, Texture((level,)), uv, filtering="bilinear") for level in texture.levels
-    ]
+    whole = [look(choice.engine, Texture((level,)), uv, filtering="bilinear") for level in texture.levels]
     tolerance = 32 * choice.engine.eps
     for level, expected in enumerate(whole):
         assert np.abs(look(choice.engine, texture, uv, level) - expected).max() < tolerance

@@ -22,9 +22,7 @@ def dense_values(values: np.ndarray, name: str, points: np.ndarray) -> np.ndarra
             last, previous = padded.take([-1], axis), padded.take([-2], axis)
             padded = np.concatenate([2 * first - second, padded, 2 * last - previous], axis=axis)
         if k.filtered:
-            low, middle, high = (
-                padded.take(range(o, padded.shape[axis] - 2 + o), axis) for o in range(3)
-            )
+            low, middle, high = (padded.take(range(o, padded.shape[axis] - 2 + o), axis) for o in range(3))
             inner = k.prefilter[0] * low + k.prefilter[1] * middle + k.prefilter[2] * high
             padded = np.concatenate([inner.take([0], axis), inner, inner.take([-1], axis)], axis=axis)
     cell = np.clip(np.floor(points).astype(int), 0, np.array(values.shape) - 2)

@@ -81,7 +81,7 @@ class ShapeField:
 
     def _asked(self, spot: Spot) -> tuple[np.ndarray, Float[np.ndarray, "m 3"]]:
         rows = np.flatnonzero(spot.hit)
-        return rows, _points(spot.locator)[rows]  # type: ignore[arg-type]
+        return rows, _points(spot.locator)[rows]
 
 
 def _points(vector: Vector) -> Float[np.ndarray, "n 3"]:

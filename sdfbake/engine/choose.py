@@ -95,8 +95,8 @@ def _llvm_libraries() -> list[Path]:
 def _system_folders() -> list[Path]:
     if sys.platform == "darwin":
         return [Path("/opt/homebrew/opt/llvm/lib"), Path("/usr/local/opt/llvm/lib")]
-    roots = [Path("/usr/lib"), Path("/usr/lib64"), Path("/usr/lib/x86_64-linux-gnu"), Path("/usr/lib/aarch64-linux-gnu")]
-    return [root for root in roots if root.is_dir()]
+    names = ("lib", "lib64", "lib/x86_64-linux-gnu", "lib/aarch64-linux-gnu")
+    return [root for name in names if (root := Path("/usr") / name).is_dir()]
 
 
 def _version(library: Path) -> int:

@@ -19,10 +19,10 @@ def _backend() -> ModuleType:
     if dr.has_backend(dr.JitBackend.CUDA):
         from drjit import cuda
 
-        return cuda  # type: ignore[no-any-return]
+        return cuda
     from drjit import llvm
 
-    return llvm  # type: ignore[no-any-return]
+    return llvm
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +128,9 @@ class DrjitEngine:
     def while_loop(
         self,
         condition: Callable[[State], Array],
-        body: Callable[[State, tuple[Any, ...]], State],
+        body: Callable[[State, Any], State],
         state: State,
-        constants: tuple[Any, ...] = (),
+        constants: Any = (),
     ) -> State:
         """Run a symbolic loop; see `Engine.while_loop`."""
         result = dr.while_loop(

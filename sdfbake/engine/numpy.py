@@ -117,9 +117,9 @@ class NumpyEngine:
     def while_loop(
         self,
         condition: Callable[[State], Array],
-        body: Callable[[State, tuple[Any, ...]], State],
+        body: Callable[[State, Any], State],
         state: State,
-        constants: tuple[Any, ...] = (),
+        constants: Any = (),
     ) -> State:
         """Repeat the body on the rays that still want it; see `Engine.while_loop`."""
         result = [np.array(leaf) for leaf in leaves(state)]

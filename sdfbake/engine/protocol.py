@@ -100,9 +100,9 @@ class Engine(Protocol):
     def while_loop(
         self,
         condition: Callable[[State], Array],
-        body: Callable[[State, tuple[Any, ...]], State],
+        body: Callable[[State, Any], State],
         state: State,
-        constants: tuple[Any, ...] = (),
+        constants: Any = (),
     ) -> State:
         """Repeat `state = body(state, constants)` for every ray on its own while its `condition(state)` holds.
 

@@ -24,4 +24,5 @@ def _fill(tree: Any, source: Iterator[Any]) -> Any:
     if not isinstance(tree, tuple):
         return next(source)
     branches = [_fill(branch, source) for branch in tree]
-    return tuple(branches) if type(tree) is tuple else type(tree)(*branches)  # a named tuple takes its fields one by one
+    # A named tuple takes its fields one by one.
+    return tuple(branches) if type(tree) is tuple else type(tree)(*branches)

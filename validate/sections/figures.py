@@ -29,6 +29,7 @@ SHOWN = {
     "figure-5": "Mirror, 512³, cubic, without mipmaps (figure 5)",
     "figure-7-linear": "Mirror, 64³, linear, mipmaps (figure 7 of the text)",
     "figure-7-cubic": "Mirror, 64³, cubic, mipmaps (figure 7 of the text)",
+    "figure-7-bspline": "Mirror, 64³, B-spline, mipmaps (not in Galim 2018)",
     "figure-6-linear": "Mirror, 512³, linear, mipmaps (figure 6 of the text)",
     "figure-6-cubic": "Mirror, 512³, cubic, mipmaps (figure 6 of the text)",
     "figure-8": "Mirror, 512³, cubic, mipmaps, 2x supersampling (figure 8)",

@@ -16,7 +16,7 @@ from sdfbake.complaint import BadInput
 from validate.experiment import Bench, Run, guarded
 from validate.metrics import IMAGE
 
-FIGURES = ("4-linear", "4-cubic", "5", "7-linear", "7-cubic", "6-linear", "6-cubic", "8")
+FIGURES = ("4-linear", "4-cubic", "5", "7-linear", "7-cubic", "7-bspline", "6-linear", "6-cubic", "8")
 GRIDS = {"exact": "", "baked": "-baked"}
 
 
