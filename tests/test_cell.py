@@ -161,7 +161,7 @@ def test_no_root(carried, choice, rng):
 
 
 def test_a_touching_root_is_within_rounding(choice):
-    """A double root either counts or does not, but nothing after it is lost, and nothing is found where there is none."""
+    """A double root may count or not, but nothing after it is lost, and nothing is found where there is none."""
     polynomial = np.array([of_roots([0.4, 0.4]), of_roots([0.4, 0.4, 0.8])])
     out = search(choice, polynomial)
     near = np.abs(out["s"] - 0.4) < 4 * np.sqrt(64 * choice.engine.eps)  # f = (s - 0.4)^2 is below the bound there

@@ -37,7 +37,7 @@ def through(field, rays, bounces):
 
 @pytest.mark.parametrize(("scene", "bounces"), [(TORUS, 0), (MIRROR, 1)], ids=["torus", "mirror"])
 def test_duv_is_that_of_displaced_rays(scene, bounces):
-    """On the exact torus directly, and on the sheet after a mirror; the truth states its own error, 3 of which it has."""
+    """On the exact torus directly, on the sheet after a mirror; the truth states its own error, 3 of which it has."""
     exact, camera = scene
     field = ShapeField(exact)
     alive, hits, seen = through(field, camera.rays(), bounces)

@@ -141,7 +141,7 @@ def test_normals_as_colours_and_the_first_hit(folder):
 
 
 def test_a_far_camera_sees_the_same(folder, choice):
-    """Ten thousand radii away, through a lens of 0.01 degree: float32 keeps the place on the sphere to its own rounding.
+    """Ten thousand radii away, through a lens of 0.01 degree: float32 keeps the place to a fortieth of the radius.
 
     Positions are brought to the box in float64 elsewhere; here the camera's beam is made on the engine.
     """

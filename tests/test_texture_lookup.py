@@ -1,5 +1,7 @@
 """Texture look-ups: pyramids against NumPy's means, filters against values by hand, both engines."""
 
+import itertools
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -37,7 +39,7 @@ def test_levels_are_box_averages(picture):
     """Of a power of two: the mean of 2x2 texels, so the picture's mean stays. Float32 rounds to 6e-8 per level."""
     levels = Texture.of(picture).levels
     assert [level.shape[:2] for level in levels] == [(4, 8), (2, 4), (1, 2), (1, 1)]
-    for fine, coarse in zip(levels, levels[1:], strict=False):
+    for fine, coarse in itertools.pairwise(levels):
         h, w, _ = coarse.shape
         blocks = fine.astype(float).reshape(h, fine.shape[0] // h, w, fine.shape[1] // w, 3)
         assert np.abs(coarse - blocks.mean(axis=(1, 3))).max() < 1.2e-7

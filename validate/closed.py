@@ -112,7 +112,7 @@ class ExactReference:
 def _spread(hits: ExactHits, where: Int[np.ndarray, " m"], count: int) -> ExactHits:
     """Hits of some rays among `count`; the others missed."""
 
-    def spread(values: np.ndarray, blank: float) -> np.ndarray:
+    def spread(values: np.ndarray, blank: float | int) -> np.ndarray:
         out = np.full((count, *values.shape[1:]), blank, values.dtype)
         out[where] = values
         return out

@@ -74,7 +74,7 @@ class Run:
     suite: str
     problem: str
     setup: dict[str, str]
-    knob: dict[str, float]
+    knob: dict[str, float | int]
     kind: Kind
     values: dict[str, float] = field(default_factory=dict)
     samples: dict[str, list[float]] = field(default_factory=dict)
@@ -141,7 +141,7 @@ class Bench:
 
 
 def timed(
-    suite: str, problem: str, setup: dict[str, str], knob: dict[str, float], timing: Timing, rays: int = 0
+    suite: str, problem: str, setup: dict[str, str], knob: dict[str, float | int], timing: Timing, rays: int = 0
 ) -> Run:
     """Make the record of a timed run; `rays` adds microseconds per ray."""
     values = {"seconds": timing.median, "first_seconds": timing.warm_up[0] if timing.warm_up else timing.median}

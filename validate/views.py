@@ -94,7 +94,7 @@ def through_field(field: Field, rays: Beam, bounces: int, voxel: float) -> tuple
     return view, _spread(prints.flags, alive, count, 0)
 
 
-def _spread(values: np.ndarray, where: Int[np.ndarray, " m"], count: int, blank: float) -> np.ndarray:
+def _spread(values: np.ndarray, where: Int[np.ndarray, " m"], count: int, blank: float | int) -> np.ndarray:
     """Values at some pixels among `count`, and `blank` at the others."""
     out = np.full((count, *values.shape[1:]), blank, values.dtype)
     out[where] = values

@@ -28,7 +28,7 @@ from validate.views import framing, seen, through_field
 SIZE = 384
 RESOLUTIONS = (64, 512)
 KERNELS = ("bspline", "linear")
-PRIMARY = ("torus", "bunny")
+PRIMARY = ("torus", "mirror", "bunny")
 REFLECTED = ("torus", "mirror")
 # Where the cameras stand, as seen from the middle of each object. The torus shows its hole, where it mirrors
 # itself; the mirror scene its page, from beside the sphere.
@@ -90,7 +90,7 @@ def _mirror_camera(name: str, bounds: np.ndarray) -> Camera:
     return framing(bounds, SIZE, DIRECTIONS[name])
 
 
-def _blank(view: View, setup: dict[str, str], knob: dict[str, float]) -> Run:
+def _blank(view: View, setup: dict[str, str], knob: dict[str, float | int]) -> Run:
     return Run("footprints", view.problem, setup, knob, "error")
 
 
