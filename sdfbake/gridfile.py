@@ -243,8 +243,9 @@ def _assembled(lattice: Lattice, metadata: Metadata, arrays: Mapping[str, np.nda
     for name in ("far", "distance", "uv"):
         _require(name not in arrays or bool(np.isfinite(arrays[name]).all()), f"{name} is not finite")
     part, chart = arrays.get("part"), arrays.get("chart")
-    _require(part is None or part.max(initial=0) < max(len(metadata.parts), 1), "its part ids")
+    _require(part is None or bool(part.max(initial=0) < max(len(metadata.parts), 1)), "its part ids")
     _require(
-        chart is None or (chart.min(initial=0) >= 0 and chart.max(initial=0) < max(metadata.charts, 1)), "its chart ids"
+        chart is None or bool(chart.min(initial=0) >= 0 and chart.max(initial=0) < max(metadata.charts, 1)),
+        "its chart ids",
     )
     return Grid(lattice, bricks, arrays["distance"], arrays.get("uv"), chart, part, metadata)

@@ -17,7 +17,7 @@ from sdfrender.cell import tolerance
 from sdfrender.field import Jet, Mapped, Spot
 from sdfrender.kernels import Kernel, kernel
 from sdfrender.march import SIDE, Found, Tables, base_of, brick_of, cell_of, march, place_in, stencil
-from sdfrender.stencils import INCOMPLETE, channel_coefficients, stencils
+from sdfrender.stencils import INCOMPLETE, channel_coefficients, mixed_cells, stencils
 from sdfrender.vector import Symmetric, Vector
 
 # Which derivative of each axis' weights makes which entry of a jet.
@@ -43,8 +43,8 @@ class GridField:
     Attributes
     ----------
     tolerance
-        Rounding bound of the interpolant along a ray, in the unit of the samples: a graze deeper than this is never
-        missed.
+        Rounding bound of the interpolant along a ray, in the unit of the samples: a graze deeper than twice
+        this is never missed (docs/tracing.md).
 
     Raises
     ------
@@ -76,6 +76,7 @@ class GridField:
         self._charts = _ids(grid.chart, self.engine)
         self._parts = _ids(grid.part, self.engine)
         self._uv: tuple[Array, Array] | None = None
+        self._seams: Array | None = None
         middle = (np.array(grid.lattice.shape) - 1) / 2
         self.anchor: Float[np.ndarray, " 3"] = grid.lattice.to_world(middle)
         self._middle = [self.engine.uniform(float(m)) for m in middle]
@@ -233,20 +234,12 @@ class GridField:
         return self._sample(xp, self._parts, found, [u >= 0.5 for u in found.u])
 
     def _chart(self, xp: Engine, found: Found) -> tuple[Array, Array]:
-        """Chart of the nearest sample, and whether the cell's corners disagree."""
-        if self._charts is None:
+        """Chart of the nearest sample, and whether samples of another chart went into the texture coordinates."""
+        if self._charts is None or self._seams is None:
             return xp.full(found.t, 0), xp.full(found.t, False)
-        low, high = xp.full(found.t, False), xp.full(found.t, True)
-        corners = [
-            self._sample(xp, self._charts, found, [low if o == 0 else high for o in (i, j, k)])
-            for i in (0, 1)
-            for j in (0, 1)
-            for k in (0, 1)
-        ]
-        seam = low
-        for corner in corners[1:]:
-            seam = seam | (corner != corners[0])
-        return self._sample(xp, self._charts, found, [u >= 0.5 for u in found.u]), seam & found.hit
+        slot, local = brick_of(xp, self._tables, found.cell, found.hit)
+        seam = xp.gather(self._seams, slot * SIDE**3 + local, found.hit & (slot >= 0))
+        return self._sample(xp, self._charts, found, [u >= 0.5 for u in found.u]), (seam > 0) & found.hit
 
     def _sample(self, xp: Engine, table: Array, found: Found, upper: Sequence[Array]) -> Array:
         """Look up a per-sample channel at a corner of the cell."""
@@ -264,6 +257,8 @@ class GridField:
                 for c in (0, 1)
             )
             self._uv = (u, v)
+            if self.grid.chart is not None:
+                self._seams = self.engine.table(mixed_cells(self.grid.chart, bricks, lattice.shape, self.kernel))
         return self._uv
 
 

@@ -11,11 +11,12 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import reduce
 from itertools import product
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Float, Integer, Num
 
 from sdfbake.bricks import SIDE, Bricks
 from sdfrender.kernels import Kernel
@@ -51,13 +52,13 @@ class Stencils:
 class _Source:
     """A channel and where its bricks are: the tables have a rim, so that every brick has neighbours."""
 
-    values: Float[np.ndarray, "k 8 8 8"]
+    values: Num[np.ndarray, "k 8 8 8"]
     slot: Integer[np.ndarray, "bx by bz"]
     far: Float[np.ndarray, "bx by bz"]
     shape: tuple[int, int, int]
 
     @staticmethod
-    def of(values: Float[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int]) -> "_Source":
+    def of(values: Num[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int]) -> "_Source":
         return _Source(values, np.pad(bricks.slot, 1, constant_values=-1), np.pad(bricks.far, 1), shape)
 
 
@@ -111,6 +112,29 @@ def channel_coefficients(
     def prepare(rows: slice) -> None:
         exact = _coefficients(_padded(source, bricks.index[rows], absent="nan"), kernel)
         out[rows] = np.nan_to_num(exact, nan=0.0)
+
+    _by_chunks(prepare, len(bricks))
+    return out
+
+
+def mixed_cells(
+    ids: Integer[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int], kernel: Kernel
+) -> Integer[np.ndarray, "k 8 8 8"]:
+    """Say of every cell, as uint8, whether the samples behind its coefficients have different ids (a seam)."""
+    out = np.empty((len(bricks), SIDE, SIDE, SIDE), np.uint8)
+    source = _Source.of(ids, bricks, shape)
+    reach = 1 if kernel.filtered else 0
+    first, width = HALO_LOW + kernel.first - reach, kernel.taps + 2 * reach
+
+    def prepare(rows: slice) -> None:
+        padded = _padded(source, bricks.index[rows], absent="nan")
+        least = most = padded
+        for axis in (1, 2, 3):
+            starts = [(slice(None),) * axis + (slice(first + o, first + o + SIDE),) for o in range(width)]
+            least, most = (
+                reduce(pick, [bound[start] for start in starts]) for bound, pick in ((least, np.fmin), (most, np.fmax))
+            )
+        out[rows] = least != most
 
     _by_chunks(prepare, len(bricks))
     return out

@@ -79,7 +79,7 @@ def test_pixels_are_square_and_the_field_of_view_is_vertical():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"target": (0.0, 0.0, 2.0)}, "own position"),
+        ({"target": (0.0, 0.0, 2.0)}, "looks at itself"),
         ({"up": (0.0, 0.0, 1.0)}, "along 'up'"),
         ({"up": (0.0, 0.0, 0.0)}, "along 'up'"),
         ({"fov": 0.0}, "fov"),

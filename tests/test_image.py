@@ -44,8 +44,10 @@ def test_channels_are_named_and_explained(tmp_path, arrays):
     write_exr(tmp_path / "all.exr", arrays)
     with OpenEXR.File(str(tmp_path / "all.exr"), separate_channels=True) as file:
         assert set(file.channels()) == {channel for channels in NAMES.values() for channel in channels}
-        for name in NAMES:
+        for name, channels in NAMES.items():
             assert len(file.header()[f"meaning of {name}"]) > 10
+            for i, channel in enumerate(channels):
+                assert np.array_equal(file.channels()[channel].pixels, arrays[name][..., i].astype(np.float32))
 
 
 @pytest.mark.parametrize("some", [("Z",), ("uv", "rgb"), ("flags", "part")], ids=str)

@@ -317,7 +317,7 @@ def test_an_edge_says_so(choice):
     outward = np.array([[1.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     nothing = np.zeros((3, 3))
-    rays = Rays(targets + outward, -outward, nothing, nothing, [*nothing, 0, 0, 0], nothing)
+    rays = Rays(targets + outward, -outward, nothing, nothing, nothing, nothing)
     hits, _ = transfer(field, rays)
     assert hits.hit.all()
     assert ((hits.flags & Flag.EDGE) > 0).tolist() == [True, False, False]

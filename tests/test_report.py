@@ -182,7 +182,7 @@ def test_unknown_suites_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0, "0"), (None, "-"), (0.12345, "0.123"), (12.345, "12.3"), (1234.5, "1,234"), (3.456e-7, "3.5e-7")],
+    [(0.0, "0"), (None, "-"), (0.12345, "0.123"), (12.345, "12.3"), (1234.5, "1,234"), (3.456e-7, "3.5e-7")],
 )
 def test_numbers_are_short(value: float | None, text: str) -> None:
     assert number(value) == text

@@ -25,6 +25,19 @@ def _backend() -> ModuleType:
     return llvm
 
 
+def _aligned(values: np.ndarray, kind: Any) -> np.ndarray:
+    """Copy to memory that starts on a cache line.
+
+    Dr.Jit wraps NumPy's memory and writes its alignment into the program: with whatever alignment a copy happens to
+    have, one program would be compiled time and again.
+    """
+    raw = np.empty(values.size * np.dtype(kind).itemsize + 64, np.uint8)
+    start = -raw.ctypes.data % 64
+    whole: np.ndarray = raw[start : start + values.size * np.dtype(kind).itemsize].view(kind)
+    whole[...] = values.ravel()
+    return whole
+
+
 @dataclass(frozen=True, slots=True)
 class DrjitEngine:
     """Programs as Dr.Jit kernels over all rays at once."""
@@ -61,11 +74,10 @@ class DrjitEngine:
         """Make a look-up table; see `Engine.table`."""
         values = np.asarray(values)
         if values.dtype == np.uint8:
-            return self.types.UInt8(np.ascontiguousarray(values).ravel())
+            return self.types.UInt8(_aligned(values, np.uint8))
         if values.dtype.kind == "f":
-            kind = np.float64 if self.precision == 64 else np.float32
-            return self.real_type(np.ascontiguousarray(values, kind).ravel())
-        return self.types.Int(np.ascontiguousarray(values, np.int32).ravel())
+            return self.real_type(_aligned(values, np.float64 if self.precision == 64 else np.float32))
+        return self.types.Int(_aligned(values, np.int32))
 
     def uniform(self, value: float | int) -> Array:
         """Make an opaque number, so that another value does not compile another program."""
