@@ -36,9 +36,10 @@ def mirror() -> Union:
     """Build the scene of Galim 2018: a mirror sphere, and a page that faces it from behind the camera.
 
     The sphere (part 0) has radius 0.8 about the origin. The front of the sheet (part 1), 2.8 by 2.8, looks towards -z
-    from z = 2.0; it is 0.3 thick. A camera between them, at (0, 0, 1.9) and looking to -z, sees the text mirrored.
+    from z = 2.0; it is 0.5 thick, eight voxels of a grid of 64, so that no stencil at its front reaches the part of its
+    inside that is nearer to its back. A camera between them, at (0, 0, 1.9), looking to -z, sees the text mirrored.
     """
-    page = sheet((2.8, 2.8), 0.3, (0.0, 0.0, 2.0), "-z")
+    page = sheet((2.8, 2.8), 0.5, (0.0, 0.0, 2.0), "-z")
     return Union((Sphere(0.8), page), ("sphere", "sheet"))
 
 

@@ -151,8 +151,8 @@ def test_affine_texture_coordinates_come_back(name, choice, rng):
     assert len(set(chart.tolist())) == 1
 
 
-def test_charts_and_seams_are_those_of_the_corners(choice, directions, sphere):
-    """A chart is the nearest sample's; a seam is where the eight corners of the cell disagree."""
+def test_charts_and_seams_are_those_of_the_stencil(choice, directions, sphere):
+    """A chart is the nearest sample's; a seam is where the samples behind the cell's coefficients disagree: -2 to 3."""
     grid = Grid.from_function(sphere, 32)
     field = GridField(grid, "bspline", choice)
     rays = Rays(directions * 2, -directions, *(np.zeros_like(directions) for _ in range(4)))
@@ -162,8 +162,8 @@ def test_charts_and_seams_are_those_of_the_corners(choice, directions, sphere):
     clear = np.abs(at - np.round(at)).max(axis=1) < 0.5 - 1e-4  # which sample is nearest, and which cell, is settled
     clear &= np.abs(at - np.round(at)).min(axis=1) > 1e-4
     nearest = sphere.chart(grid.lattice.to_world(np.round(at)))
-    corners = np.stack([sphere.chart(grid.lattice.to_world(np.floor(at) + c)) for c in np.ndindex(2, 2, 2)])
-    seam = (corners != corners[0]).any(axis=0)
+    stencil = np.stack([sphere.chart(grid.lattice.to_world(np.floor(at) + c - 2.0)) for c in np.ndindex(6, 6, 6)])
+    seam = (stencil != stencil[0]).any(axis=0)
     assert clear.mean() > 0.9 and 0.05 < seam.mean() < 0.95
     assert np.array_equal(seen.chart[clear], nearest[clear])
     assert np.array_equal((seen.flags[clear] & Flag.SEAM) > 0, seam[clear])

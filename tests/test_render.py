@@ -62,13 +62,14 @@ def test_the_mirror_shows_what_the_exact_mirror_shows(folder, tmp_path):
     assert_pictures_agree(tmp_path, ours["rgb"], reference["rgb"], 3e-2, 1.0)
     same = (ours["part"] == reference["part"]) & (ours["part"] == 0) & (reference["uv"].any(axis=-1, keepdims=True))
     same &= (ours["flags"] == 0) & (reference["flags"] == 0)
-    assert same.sum() > 100
-    # The mirror's curvature is good to 1e-3 at a radius of 7 voxels; the sheet is 3 voxels thick, so that the kernel
-    # mixes the texture coordinates of its back into those of its front: 5 % in the median.
+    assert same.sum() > 60
+    # Half the sheet is 3.4 voxels: its texture coordinates are affine in every stencil at its front and come back to
+    # rounding. The mirror has a radius of 10.8 voxels: its curvature is good to about 1e-3 there.
     for name in ("duv_dx", "duv_dy"):
         a, b = ours[name][same[..., 0]], reference[name][same[..., 0]]
-        assert np.median(np.linalg.norm(a - b, axis=-1) / np.linalg.norm(b, axis=-1)) < 0.1
-    assert np.median(np.abs(ours["lod"] - reference["lod"])[same]) < 0.1
+        error = np.linalg.norm(a - b, axis=-1) / np.linalg.norm(b, axis=-1)
+        assert np.median(error) < 2e-3
+    assert np.median(np.abs(ours["lod"] - reference["lod"])[same]) < 2e-3
 
 
 @pytest.mark.parametrize("scene", ["mirror", "textured"])
