@@ -6,6 +6,9 @@ MAKEFLAGS += --no-builtin-rules --no-builtin-variables --jobs=$(shell nproc 2>/d
 .SECONDARY:
 .SUFFIXES:
 
+# The programs have threads of their own; those of the BLAS under NumPy would only spin beside them.
+export OPENBLAS_NUM_THREADS ?= 1
+
 BUILD := build
 VENV := .venv
 PY := $(VENV)/bin/python

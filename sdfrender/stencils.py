@@ -16,7 +16,7 @@ from itertools import product
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float, Integer, Num
+from jaxtyping import Bool, Float, Integer, Num
 
 from sdfbake.bricks import SIDE, Bricks
 from sdfrender.kernels import Kernel
@@ -88,7 +88,9 @@ def stencils(
     def prepare(rows: slice) -> float:
         index = bricks.index[rows]
         exact = _coefficients(_padded(source, index, absent="nan"), kernel)
-        kinds, largest = _classify(exact, kernel, eps)
+        undecided = ~_one_sided(exact, kernel, eps)
+        kinds = np.full((len(exact), SIDE, SIDE, SIDE), EMPTY, np.uint8)
+        kinds[undecided], largest = _classify(exact[undecided], kernel, eps)
         kinds[~_has_cell(index, shape)] = INCOMPLETE
         unknown = np.isnan(exact)
         holed = unknown.any(axis=(1, 2, 3))
@@ -128,13 +130,16 @@ def mixed_cells(
 
     def prepare(rows: slice) -> None:
         padded = _padded(source, bricks.index[rows], absent="nan")
-        least = most = padded
+        whole = padded.reshape(len(padded), -1)
+        several = np.fmin.reduce(whole, axis=1) != np.fmax.reduce(whole, axis=1)  # most bricks see one chart only
+        least = most = padded[several]
         for axis in (1, 2, 3):
             starts = [(slice(None),) * axis + (slice(first + o, first + o + SIDE),) for o in range(width)]
             least, most = (
                 reduce(pick, [bound[start] for start in starts]) for bound, pick in ((least, np.fmin), (most, np.fmax))
             )
-        out[rows] = least != most
+        out[rows] = 0
+        out[rows][several] = least != most
 
     _by_chunks(prepare, len(bricks))
     return out
@@ -208,6 +213,19 @@ def _window(padded: Float[np.ndarray, "m 13 13 13"], kernel: Kernel) -> Float[np
     first = HALO_LOW + kernel.first
     kept = slice(first, first + SIDE - 1 + kernel.taps)
     return np.ascontiguousarray(padded[:, kept, kept, kept])
+
+
+def _one_sided(coefficients: Float[np.ndarray, "m S S S"], kernel: Kernel, eps: float) -> Bool[np.ndarray, " m"]:
+    """Say which bricks hold no surface at a glance: weights that are never negative keep to one side of 0 with all taps.
+
+    Never true where a tap is NaN.
+    """
+    if kernel.overlap > 1:
+        return np.zeros(len(coefficients), bool)
+    taps = coefficients.reshape(len(coefficients), -1)
+    low, high = taps.min(axis=1), taps.max(axis=1)
+    sided: Bool[np.ndarray, " m"] = (low > 64 * eps * np.abs(high)) | (high < -64 * eps * np.abs(low))
+    return sided
 
 
 def _classify(
