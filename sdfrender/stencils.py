@@ -216,7 +216,7 @@ def _window(padded: Float[np.ndarray, "m 13 13 13"], kernel: Kernel) -> Float[np
 
 
 def _one_sided(coefficients: Float[np.ndarray, "m S S S"], kernel: Kernel, eps: float) -> Bool[np.ndarray, " m"]:
-    """Say which bricks hold no surface at a glance: weights that are never negative keep to one side of 0 with all taps.
+    """Say which bricks hold no surface at a glance: weights that are never negative stay on the side of their taps.
 
     Never true where a tap is NaN.
     """
