@@ -20,12 +20,13 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 
 # ---- what is made ----------------------------------------------------------------------------------------------------
 SHAPES := torus mirror
-MESHES := $(SHAPES) sphere bunny
+MESHES := bunny $(SHAPES) sphere
 TEXTURES := page checker zone
 FIGURES := figure-4-linear figure-4-cubic figure-5 figure-6-linear figure-6-cubic \
 	figure-7-linear figure-7-cubic figure-7-bspline figure-8
 RENDERS := $(FIGURES) $(FIGURES:%=%-baked) figure-4-reference reference torus bunny
-SUITES := figures footprints opinion convergence
+OBJECTS := bunny torus mirror
+SUITES := $(OBJECTS:%=footprints-%) figures opinion convergence
 TIMED := frontier engines
 
 GRIDS := $(foreach name,torus mirror bunny,$(name)@64 $(name)@512) sphere@16
@@ -136,9 +137,12 @@ $(BUILD)/runs/%.jsonl: $(CHECK_CODE) $(RENDER_CODE) | $(READY)
 	$(PY) -m validate run $* -o $@ --build $(BUILD)
 
 $(call runs,figures): $(filter-out %/torus.exr %/bunny.exr,$(RENDER_FILES))
-$(call runs,footprints): $(foreach m,torus mirror bunny,$(call mesh,$(m)) $(call grid,$(m)@64) $(call grid,$(m)@512)) \
-	$(foreach m,torus mirror,$(call grid,exact-$(m)@64) $(call grid,exact-$(m)@512))
-$(call runs,opinion): $(foreach m,torus mirror bunny,$(call mesh,$(m)) $(call grid,$(m)@64) $(call grid,$(m)@512))
+# One file of runs per object, so that they are made side by side.
+$(BUILD)/runs/footprints-%.jsonl: $(BUILD)/meshes/%.ply $(BUILD)/grids/%@64.zarr.zip $(BUILD)/grids/%@512.zarr.zip \
+		$(CHECK_CODE) $(RENDER_CODE) | $(READY)
+	$(PY) -m validate run footprints --only $* -o $@ --build $(BUILD)
+$(foreach m,torus mirror,$(eval $(call runs,footprints-$(m)): $(call grid,exact-$(m)@64) $(call grid,exact-$(m)@512)))
+$(call runs,opinion): $(foreach m,$(OBJECTS),$(call mesh,$(m)) $(call grid,$(m)@64) $(call grid,$(m)@512))
 $(call runs,engines): $(call grid,mirror@64) $(call grid,mirror@512)
 
 # Timed steps share the machine with nothing: they wait for everything else, and for each other.

@@ -23,8 +23,9 @@ def cli() -> None:
 @click.argument("suites", nargs=-1, required=True, type=click.Choice(SUITES))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="JSON lines, one run each.")
 @click.option("--build", default="build", show_default=True, type=click.Path(path_type=Path), help="Meshes and grids.")
+@click.option("--only", help="The one object to look at, for suites that look at several.")
 @click.option("--json", "as_json", is_flag=True, help="Print a summary as one JSON object.")
-def run_suites(suites: tuple[str, ...], output: Path, build: Path, as_json: bool) -> None:
+def run_suites(suites: tuple[str, ...], output: Path, build: Path, only: str | None, as_json: bool) -> None:
     """Run experiments and keep every result; arrays go beside OUTPUT as .npz files."""
     console = Console(stderr=True)
     begin = time.perf_counter()
@@ -32,7 +33,7 @@ def run_suites(suites: tuple[str, ...], output: Path, build: Path, as_json: bool
     def progress(line: str) -> None:
         console.print(f"[dim]{time.perf_counter() - begin:6.1f} s[/dim]  {line}", highlight=False)
 
-    bench = Bench(build, output.parent, progress)
+    bench = Bench(build, output.parent, progress, only)
     runs: list[Run] = []
     for suite in suites:
         runs.extend(importlib.import_module(f"validate.suites.{suite}").run(bench))

@@ -103,11 +103,14 @@ class Bench:
         Folder of the JSON lines.
     progress
         Told in one line what comes next.
+    only
+        Name of the one object to look at, for suites that look at several; None for all.
     """
 
     build: Path
     artefacts: Path
     progress: Callable[[str], None] = lambda _: None
+    only: str | None = None
 
     def mesh(self, name: str) -> Path:
         """Path of a mesh of the build."""

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from datasets_synthetic import shape
+from sdfbake.complaint import BadInput
 from sdfbake.grid import Grid
 from sdfbake.mesh import Mesh
 from sdfrender import Camera, Flag, GridField
@@ -48,7 +49,10 @@ class View:
 
 def run(bench: Bench) -> Iterator[Run]:
     """All views of one object at a time, so that each field is built once."""
-    for name in dict.fromkeys((*PRIMARY, *REFLECTED)):
+    names = list(dict.fromkeys((*PRIMARY, *REFLECTED)))
+    if bench.only not in (None, *names):
+        raise BadInput(f"this suite does not look at '{bench.only}': choose one of {', '.join(names)}")
+    for name in names if bench.only is None else [bench.only]:
         bench.progress(f"footprints of the {name}")
         reference = MeshReference(Mesh.load(bench.mesh(name)))
         views = [_primary(name, reference)] if name in PRIMARY else []

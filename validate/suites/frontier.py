@@ -22,7 +22,7 @@ from validate.timing import measure
 
 # Pixels along a side, for the error and for the clock; NumPy takes fewer rays, enough for its cost per ray to be that
 # of a full picture.
-SIZES = {"numpy": (64, 64), "drjit": (192, 512)}
+SIZES = {"numpy": (48, 48), "drjit": (192, 512)}
 PROBLEM = "sphere, one mirror bounce"
 # Pixels whose ray meets the surface flatter than this are the silhouette's: there the footprint has no bound.
 GRAZING = 0.1
