@@ -3,8 +3,8 @@
 In: a final path. Out: a temporary path beside it to write to, renamed when the block ends without error.
 """
 
-import os
 import secrets
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,10 +48,14 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def check_writable(path: str | Path) -> None:
-    """Raise BadInput if a file could not be put there; for asking before hours of work, touches nothing."""
+    """Raise BadInput if a file could not be put there; for asking before hours of work, leaves nothing behind."""
     path = Path(path).absolute()
     folder = next(parent for parent in path.parents if parent.exists())
     if path.is_dir():
         raise BadInput(f"cannot write {path}: it is a folder; name a file in it")
-    if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise BadInput(f"cannot write {path}: {folder} is not a folder that can be written to; choose another output")
+    try:
+        with tempfile.TemporaryFile(dir=folder):  # permissions alone do not tell: the folder may take no files
+            pass
+    except OSError:
+        reason = f"{folder} is not a folder that can be written to"
+        raise BadInput(f"cannot write {path}: {reason}; choose another output") from None

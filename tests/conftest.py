@@ -10,7 +10,7 @@ UNCHECKED = {"sdfrender.march", "sdfrender.cell", "sdfrender.vector"}
 ROOT = Path(__file__).parent.parent
 MODULES = {f"{room}.{path.stem}" for room in ROOMS for path in (ROOT / room).glob("*.py")} - UNCHECKED
 
-install_import_hook(sorted(MODULES), "beartype.beartype")  # before the first import of a room
+install_import_hook(sorted(MODULES), "typecheck.check")  # before the first import of a room
 
 import numpy as np
 import pytest

@@ -214,7 +214,7 @@ def test_a_ray_beside_the_outermost_circle_misses() -> None:
         ("box", [0, 0, 0.5], [0, 0.6, 0.8], np.inf),
         ("mirror", [0, 0, 1.9], [0, 0, -1], 1.1),
         ("mirror", [0, 0, 0.8], [0, 0, 1], 1.2),
-        ("mirror", [0, 0, 5], [0, 0, -1], 2.7),
+        ("mirror", [0, 0, 5], [0, 0, -1], 2.5),
     ],
 )
 def test_hits_in_closed_form(name: str, o: list[float], d: list[float], t: float) -> None:
