@@ -17,7 +17,7 @@ from sdfrender.cell import tolerance
 from sdfrender.field import Jet, Mapped, Spot
 from sdfrender.kernels import Kernel, kernel
 from sdfrender.march import SIDE, Found, Tables, base_of, brick_of, cell_of, march, place_in, stencil
-from sdfrender.stencils import INCOMPLETE, channel_coefficients, mixed_cells, stencils
+from sdfrender.stencils import INCOMPLETE, FloatType, channel_coefficients, mixed_cells, stencils
 from sdfrender.vector import Symmetric, Vector
 
 # Which derivative of each axis' weights makes which entry of a jet.
@@ -253,7 +253,9 @@ class GridField:
                 raise BadInput("the grid has no texture coordinates: bake it with --uv-mode grid")
             lattice, bricks = self.grid.lattice, self.grid.bricks
             u, v = (
-                self.engine.table(channel_coefficients(self.grid.uv[..., c], bricks, lattice.shape, self.kernel))
+                self.engine.table(
+                    channel_coefficients(self.grid.uv[..., c], bricks, lattice.shape, self.kernel, _kind(self.engine))
+                )
                 for c in (0, 1)
             )
             self._uv = (u, v)
@@ -266,6 +268,10 @@ def _kernel(wish: str | Kernel) -> Kernel:
     return wish if isinstance(wish, Kernel) else kernel(wish)
 
 
+def _kind(engine: Engine) -> FloatType:
+    return np.float64 if engine.precision == 64 else np.float32
+
+
 def _ids(channel: Integer[np.ndarray, "k 8 8 8"] | None, engine: Engine) -> Array | None:
     return None if channel is None else engine.table(channel)
 
@@ -273,7 +279,7 @@ def _ids(channel: Integer[np.ndarray, "k 8 8 8"] | None, engine: Engine) -> Arra
 def _tables(grid: Grid, kernel: Kernel, engine: Engine) -> tuple[Tables, float]:
     """Prepare what a march looks up, and its rounding bound."""
     shape = grid.lattice.shape
-    made = stencils(grid.distance, grid.bricks, shape, kernel, engine.eps)
+    made = stencils(grid.distance, grid.bricks, shape, kernel, _kind(engine))
     bound = tolerance(engine.eps, kernel, made.largest)
     samples = tuple(engine.uniform(int(n)) for n in shape)
     bricks = tuple(engine.uniform(int(n)) for n in grid.bricks.slot.shape)

@@ -27,6 +27,7 @@ INCOMPLETE, EMPTY, OCCUPIED = 0, 1, 2  # what a cell can be
 _CHUNK = 128  # bricks at once: 2.3 MB of padded float64 samples stay in the caches
 
 Result = TypeVar("Result")
+FloatType = type[np.float32] | type[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +37,7 @@ class Stencils:
     Attributes
     ----------
     coefficients
-        (k, S, S, S) float64, S = 7 + taps: coefficients of a brick's cells, starting at the kernel's first tap.
+        (k, S, S, S), S = 7 + taps: coefficients of a brick's cells, starting at the kernel's first tap.
     cells
         (k, 8, 8, 8) uint8: INCOMPLETE, EMPTY or OCCUPIED.
     largest
@@ -63,7 +64,7 @@ class _Source:
 
 
 def stencils(
-    values: Float[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int], kernel: Kernel, eps: float
+    values: Float[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int], kernel: Kernel, kind: FloatType
 ) -> Stencils:
     """Prepare the distance channel: coefficients and occupied cells.
 
@@ -77,11 +78,11 @@ def stencils(
         Samples of the lattice.
     kernel
         The kernel.
-    eps
-        Distance from 1 to the next float in the precision that will trace: widens the test for surface.
+    kind
+        Float type that will trace: of the coefficients, and its rounding widens the test for surface.
     """
-    size = SIDE - 1 + kernel.taps
-    coefficients = np.empty((len(bricks), size, size, size))
+    size, eps = SIDE - 1 + kernel.taps, float(np.finfo(kind).eps)
+    coefficients = np.empty((len(bricks), size, size, size), kind)
     cells = np.empty((len(bricks), SIDE, SIDE, SIDE), np.uint8)
     source = _Source.of(values, bricks, shape)
 
@@ -104,11 +105,11 @@ def stencils(
 
 
 def channel_coefficients(
-    values: Float[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int], kernel: Kernel
+    values: Float[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int], kernel: Kernel, kind: FloatType
 ) -> Float[np.ndarray, "k S S S"]:
     """Prepare another channel (a texture coordinate): its coefficients, 0 where a stencil is incomplete."""
     size = SIDE - 1 + kernel.taps
-    out = np.empty((len(bricks), size, size, size))
+    out = np.empty((len(bricks), size, size, size), kind)
     source = _Source.of(values, bricks, shape)
 
     def prepare(rows: slice) -> None:
