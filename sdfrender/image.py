@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from PIL import Image
 
 from sdfbake.atomic import replacing
@@ -58,6 +58,11 @@ def read_exr(path: str | Path) -> dict[str, np.ndarray]:
 
 def write_png(path: str | Path, rgb: Float[np.ndarray, "h w 3"]) -> None:
     """Write linear light as an 8-bit sRGB PNG; what is brighter than white becomes white."""
-    pixels = np.rint(linear_to_srgb(np.clip(rgb, 0.0, 1.0)) * 255).astype(np.uint8)
     with replacing(path) as temporary:
-        Image.fromarray(pixels).save(temporary, format="PNG")
+        Image.fromarray(srgb_bytes(rgb)).save(temporary, format="PNG")
+
+
+def srgb_bytes(linear: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Turn linear light into 8-bit sRGB, clipped to what a screen shows."""
+    pixels: UInt8[np.ndarray, "h w 3"] = np.rint(linear_to_srgb(np.clip(linear, 0.0, 1.0)) * 255).astype(np.uint8)
+    return pixels

@@ -17,6 +17,7 @@ from sdfbake.grid import Grid
 from sdfrender import optics
 from sdfrender.camera import Camera
 from sdfrender.field import Field, Jet, Mapped, Spot
+from sdfrender.flags import Flag
 from sdfrender.footprint import derivatives, level_of_detail
 from sdfrender.gridfield import GridField
 from sdfrender.image import CHANNELS
@@ -178,7 +179,7 @@ def _follow(xp: Engine, stage: Stage, beam: Beam, outputs: tuple[str, ...], per_
         rgb = _accumulated(xp, rgb, weight, shown, ends)
         if mapped is not None:
             _end(xp, stage, out, (outputs, per_pixel), ends & spot.hit, mapped, beam, part)
-            flags = flags | xp.integer(ends & mapped.seam) * 16
+            flags = flags | xp.integer(ends & mapped.seam) * int(Flag.SEAM)
         active = active & looking
         if hit + 1 < len(plan.orders):
             weight = _tinted(xp, stage, part, active, weight)

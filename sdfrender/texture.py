@@ -14,8 +14,6 @@ from PIL import Image, UnidentifiedImageError
 from sdfbake.complaint import BadInput
 from sdfbake.engine import Array, Engine
 
-FILTERS = ("point", "bilinear", "trilinear")
-WRAPS = ("clamp", "repeat")
 Colour = tuple[Array, Array, Array]
 
 

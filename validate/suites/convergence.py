@@ -19,7 +19,6 @@ from validate.metrics import summary
 
 KERNELS = ("linear", "catmull-rom", "bspline")
 RESOLUTIONS = (16, 32, 64, 128, 256)
-ORDERS = {"linear": (2, 1, 0), "catmull-rom": (3, 2, 1), "bspline": (4, 3, 2)}
 POINTS = 20_000
 
 

@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from sdfbake.complaint import BadInput
+from sdfrender.image import read_exr, srgb_bytes
 from validate.experiment import Bench, Run, guarded
 from validate.metrics import IMAGE
 
@@ -24,7 +24,7 @@ def run(bench: Bench) -> Iterator[Run]:
     """Every figure on the grid sampled from the exact shapes, and on the baked one."""
     for reference in ("figure-4-reference", "reference"):
         pixels = _read(bench.render(reference))
-        artefact = bench.store(f"figures-{reference}", image=display(pixels))
+        artefact = bench.store(f"figures-{reference}", image=srgb_bytes(pixels))
         yield Run("figures", reference, {"grid": "none"}, {}, "error", artefact=artefact)
     for name in FIGURES:
         bench.progress(f"figure {name} against its reference")
@@ -41,24 +41,15 @@ def _compared(bench: Bench, blank: Run, path: Path, truth: Float[np.ndarray, "h 
         raise BadInput(f"{path} is {ours.shape[:2]} pixels and its reference {truth.shape[:2]}: render both anew")
     values = {metric.name: float(metric.function(ours, truth)[0]) for metric in IMAGE}
     error = np.abs(ours - truth).mean(axis=2).astype(np.float16)
-    artefact = bench.store(f"figures-{path.stem}", image=display(ours), error=error)
+    artefact = bench.store(f"figures-{path.stem}", image=srgb_bytes(ours), error=error)
     return replace(blank, values=values, artefact=artefact)
 
 
 def _read(path: Path) -> Float[np.ndarray, "h w 3"]:
     """Read the colours of an EXR, linear light."""
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = file.channels()
-            pixels = np.stack([channels[name].pixels for name in "RGB"], axis=-1)
+        rgb: Float[np.ndarray, "h w 3"] = read_exr(path)["rgb"].astype(np.float64)
     except (RuntimeError, ValueError, KeyError) as error:
         reason = " ".join(str(error).split())
         raise BadInput(f"{path} is not a picture with channels R, G and B ({reason}): render it anew") from None
-    return pixels.astype(np.float64)
-
-
-def display(linear: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    """Linear light to sRGB bytes (IEC 61966-2-1), clipped to what a screen shows."""
-    x = np.clip(linear, 0.0, 1.0)
-    encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
-    return np.asarray(np.round(encoded * 255.0).astype(np.uint8))
+    return rgb
