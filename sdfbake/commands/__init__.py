@@ -1,0 +1,1 @@
+"""The commands of `python -m sdfbake`, one file each."""
