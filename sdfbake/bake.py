@@ -140,7 +140,7 @@ def bake(
             sign=record,
             parts=mesh.part_names,
             charts=0 if mode == "none" else int(mesh.chart.max()) + 1,
-            uv_mode="grid" if mode == "grid" else "none",
+            uv_modes=("grid",) if mode == "grid" else (),
             options={"resolution": resolution, "cube": cube, "sign": sign, "uv_mode": mode},
             edge_over_h=edge_over_h(mesh, lattice),
         ),
@@ -198,7 +198,7 @@ def _closest(work: _Work, mode: str) -> dict[str, np.ndarray]:
     channels = {
         name: np.zeros((len(work.index), SIDE, SIDE, SIDE, *width), kind)
         for name, (width, kind) in CHANNELS.items()
-        if several[name]
+        if several.get(name)
     }
     for chunk in work.chunks("closest points"):
         channels["distance"][chunk], near = _bounds(work, chunk)

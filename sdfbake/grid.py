@@ -15,7 +15,9 @@ from sdfbake import bricks as brick
 from sdfbake.bricks import SIDE, Bricks
 from sdfbake.complaint import BadInput
 from sdfbake.dense import needed
+from sdfbake.faces import FaceTable
 from sdfbake.lattice import BAND, Lattice
+from sdfbake.layers import Layers
 from sdfbake.metadata import Metadata
 from sdfbake.shape import Charted, Shape
 
@@ -25,7 +27,9 @@ CHANNELS: dict[str, tuple[tuple[int, ...], str]] = {
     "uv": ((2,), "<f4"),
     "chart": ((), "<i4"),
     "part": ((), "|u1"),
+    "face": ((), "<i4"),
 }
+KERNELS = ("linear", "catmull-rom", "bspline")  # the columns of a grid's error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +52,17 @@ class Grid:
         three are 0 at samples more than `REACH` voxels from the surface.
     metadata
         Where all this comes from.
+    face
+        Row of `surface` that is closest, int32, the lowest of those equally near; -1 at samples more than `REACH`
+        voxels from the surface. None where it was not asked for.
+    surface
+        The faces; there if `face` is.
+    layers
+        Texture coordinates chart by chart; None where they were not asked for.
+    error
+        Per brick, for each of `KERNELS`, the greatest difference between the interpolated and the exact distance at
+        the centres of cells with surface, voxels, float32; 0 where the brick has none of those. None where there is
+        nothing to compare with.
     """
 
     lattice: Lattice
@@ -57,6 +72,10 @@ class Grid:
     chart: Integer[np.ndarray, "k 8 8 8"] | None
     part: Integer[np.ndarray, "k 8 8 8"] | None
     metadata: Metadata
+    face: Integer[np.ndarray, "k 8 8 8"] | None = None
+    surface: FaceTable | None = None
+    layers: Layers | None = None
+    error: Float[np.ndarray, "k 3"] | None = None
 
     def __post_init__(self) -> None:
         if self.bricks.slot.shape != brick.counts(self.lattice.shape):
@@ -65,6 +84,8 @@ class Grid:
             values, shape = getattr(self, name), (len(self.bricks), SIDE, SIDE, SIDE, *width)
             if values is not None and (values.shape != shape or values.dtype != np.dtype(kind)):
                 raise ValueError(f"{name} is {values.dtype}{values.shape}, expected {kind}{shape}")
+        if (self.face is None) != (self.surface is None):
+            raise ValueError("face ids and the table of faces come together")
 
     @staticmethod
     def from_function(
@@ -114,7 +135,7 @@ class Grid:
             source="function",
             parts=shape.part_names if isinstance(shape, Charted) else ("surface",),
             charts=0 if uv_mode == "none" else 1 if chart is None else int(chart.max(initial=0)) + 1,
-            uv_mode="grid" if uv_mode == "grid" else "none",
+            uv_modes=("grid",) if uv_mode == "grid" else (),
             options={"resolution": max(lattice.shape), "cube": cube},
         )
         return Grid(lattice, bricks, values[kept], channels.get("uv"), chart, part, metadata)

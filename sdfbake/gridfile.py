@@ -21,14 +21,39 @@ from zarr.storage import MemoryStore, ZipStore
 from sdfbake.atomic import replacing
 from sdfbake.bricks import SIDE, Bricks, counts
 from sdfbake.complaint import BadInput
-from sdfbake.grid import CHANNELS, Grid
+from sdfbake.faces import FaceTable
+from sdfbake.grid import CHANNELS, KERNELS, Grid
 from sdfbake.lattice import Lattice
+from sdfbake.layers import Layers
 from sdfbake.metadata import FORMAT_VERSION, Metadata
 
 KIND = "sdf-ray-differentials grid"
-_TABLES = {"slot": "<i4", "far": "<f4"}
-_DATA_TYPES = {"<f4": "float32", "<i4": "int32", "|u1": "uint8"}
-_BRICKS_PER_CHUNK = 512  # 1 MiB of distances
+# Every array that a file may have: its axes (a letter is a length that several arrays share) and how it is stored.
+_BRICK = ("k", SIDE, SIDE, SIDE)
+_ROW = ("m", SIDE, SIDE, SIDE)
+LAYOUT: dict[str, tuple[tuple[str | int, ...], str]] = {
+    "slot": (("bx", "by", "bz"), "<i4"),
+    "far": (("bx", "by", "bz"), "<f4"),
+    **{name: ((*_BRICK, *width), kind) for name, (width, kind) in CHANNELS.items()},
+    "error": (("k", len(KERNELS)), "<f4"),
+    "surface.vertices": (("v", 3), "<f8"),
+    "surface.corners": (("f", 3), "<i4"),
+    "surface.uv": (("f", 3, 2), "<f8"),
+    "surface.chart": (("f",), "<i4"),
+    "layers.brick": (("m",), "<i4"),
+    "layers.chart": (("m",), "<i4"),
+    "layers.uv": ((*_ROW, 2), "<u2"),
+    "layers.border": (_ROW, "<f2"),
+    "layers.normal": ((*_ROW, 3), "|i1"),
+    "layers.offset": (("c", 2), "<f8"),
+    "layers.scale": (("c", 2), "<f8"),
+    "layers.of": (("c",), "<i4"),
+}
+# What can be asked for beside the distance.
+CHOICES = ("uv", "chart", "part", "face", "layers", "error")
+_DATA_TYPES = {"<f8": "float64", "<f4": "float32", "<f2": "float16", "<i4": "int32", "<u2": "uint16", "|u1": "uint8",
+               "|i1": "int8"}  # fmt: skip
+_CHUNK_BYTES = 1 << 20
 _TABLE_CHUNK = 64
 _MOST_SAMPLES = 1 << 16  # along an axis: far above what a bake makes, far below where an index overflows
 # Decoded bytes per byte of file. A table of empty space shrinks a thousandfold at most; more is a bomb.
@@ -63,8 +88,8 @@ def load(path: str | Path, channels: Collection[str] | None = None) -> Grid:
     path
         A file written by `save`.
     channels
-        Names of the channels to read; None for all that the file has. Others are None in the result; the distance is
-        always read.
+        Which of `CHOICES` to read; None for all that the file has. Others are None in the result; the distance is
+        always read, and the table of faces comes with their ids.
 
     Raises
     ------
@@ -72,9 +97,9 @@ def load(path: str | Path, channels: Collection[str] | None = None) -> Grid:
         If there is no such file, or it is no grid, cut short, altered, or of another version.
     """
     path = Path(path)
-    unknown = sorted(set(channels or ()) - set(CHANNELS))
+    unknown = sorted(set(channels or ()) - {"distance", *CHOICES})
     if unknown:
-        raise BadInput(f"a grid has no channel {unknown[0]!r}: choose from {', '.join(CHANNELS)}")
+        raise BadInput(f"a grid has no channel {unknown[0]!r}: choose from {', '.join(CHOICES)}")
     if not path.is_file():
         raise BadInput(f"there is no grid file {path}: bake one with 'python -m sdfbake bake'")
     try:
@@ -111,10 +136,20 @@ def _require(condition: bool, reason: str) -> None:
         raise _DistrustError(reason)
 
 
+def _arrays(grid: Grid) -> dict[str, np.ndarray]:
+    """Return all arrays of a grid by their names in the file."""
+    arrays = {"slot": grid.bricks.slot, "far": grid.bricks.far, **{name: getattr(grid, name) for name in CHANNELS}}
+    arrays["error"] = grid.error
+    for group, record in (("surface", grid.surface), ("layers", grid.layers)):
+        if record is not None:
+            names = [name for name in LAYOUT if name.startswith(f"{group}.")]
+            arrays |= {name: getattr(record, name.partition(".")[2]) for name in names}
+    return {name: values for name, values in arrays.items() if values is not None}
+
+
 def _encoded(grid: Grid) -> dict[str, bytes]:
     """Return the entries of the archive: Zarr's documents and chunks."""
-    arrays = {"slot": grid.bricks.slot, "far": grid.bricks.far}
-    arrays |= {name: getattr(grid, name) for name in CHANNELS if getattr(grid, name) is not None}
+    arrays = _arrays(grid)
     metadata = grid.metadata.model_copy(update={"checksums": {name: _checksum(a) for name, a in arrays.items()}})
     entries: dict[str, Any] = {}
     group = zarr.create_group(MemoryStore(entries), zarr_format=3, attributes={
@@ -125,7 +160,7 @@ def _encoded(grid: Grid) -> dict[str, bytes]:
         "metadata": metadata.model_dump(mode="json"),
     })  # fmt: skip
     for name, values in arrays.items():
-        kind = _TABLES.get(name) or CHANNELS[name][1]
+        kind = LAYOUT[name][1]
         array = group.create_array(
             name,
             shape=values.shape,
@@ -146,10 +181,12 @@ def _checksum(values: np.ndarray) -> str:
 
 
 def _chunks(name: str, shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the chunk shape of an array: many bricks, or a block of a table."""
-    if name in _TABLES:
+    """Return the chunk shape of an array: a block of a table over the lattice, else rows that make about a megabyte."""
+    axes, kind = LAYOUT[name]
+    if axes[0] == "bx":
         return tuple(min(n, _TABLE_CHUNK) for n in shape)
-    return (max(1, min(shape[0], _BRICKS_PER_CHUNK)), *shape[1:])
+    row = prod(shape[1:]) * np.dtype(kind).itemsize
+    return (max(1, min(shape[0], _CHUNK_BYTES // row)), *shape[1:])
 
 
 def _write_archive(path: Path, entries: Mapping[str, bytes]) -> None:
@@ -165,14 +202,13 @@ def _read(path: Path, channels: Collection[str] | None) -> Grid:
     """Check the file's claims, then decode what is wanted."""
     with zipfile.ZipFile(path) as archive:
         lattice, metadata = _read_head(archive)
-        names = [name for name in CHANNELS if name in metadata.checksums]
-        _require({"slot", "far", "distance"} <= set(metadata.checksums) <= {*_TABLES, *CHANNELS}, "its list of arrays")
-        shapes = {name: counts(lattice.shape) for name in _TABLES}
-        bricks = _document(archive, "distance")["shape"][0]
-        _require(isinstance(bricks, int) and 0 <= bricks <= prod(shapes["slot"]), "its number of bricks")
-        shapes |= {name: (bricks, SIDE, SIDE, SIDE, *CHANNELS[name][0]) for name in names}
-        _check_sizes(archive, path, shapes)
-    wanted = [*_TABLES, *(n for n in names if channels is None or n in channels or n == "distance")]
+        names = [name for name in LAYOUT if name in metadata.checksums]
+        _require(set(names) == set(metadata.checksums) >= {"slot", "far", "distance"}, "its list of arrays")
+        for group in ("surface", "layers"):
+            _require(len({n in names for n in LAYOUT if n.startswith(f"{group}.")}) == 1, f"its arrays of {group}")
+        _require(("face" in names) == ("surface.corners" in names), "its arrays of faces")
+        _check_sizes(archive, path, _shapes(archive, names, lattice))
+    wanted = [name for name in names if channels is None or _belongs(name, channels)]
     store = ZipStore(path, mode="r")
     try:
         group = zarr.open_group(store, mode="r", zarr_format=3)
@@ -182,6 +218,28 @@ def _read(path: Path, channels: Collection[str] | None) -> Grid:
     for name, values in arrays.items():
         _require(_checksum(values) == metadata.checksums[name], f"the checksum of {name}")
     return _assembled(lattice, metadata, arrays)
+
+
+def _belongs(name: str, channels: Collection[str]) -> bool:
+    """Say whether an array is read for the sake of some channels."""
+    needed = {"slot", "far", "distance"} | set(channels) | ({"surface"} if "face" in channels else set())
+    return name.partition(".")[0] in needed
+
+
+def _shapes(archive: zipfile.ZipFile, names: Collection[str], lattice: Lattice) -> dict[str, tuple[int, ...]]:
+    """Return the shapes that the arrays must have, once the first array of every length has said it."""
+    lengths: dict[str | int, int] = dict(zip(("bx", "by", "bz"), counts(lattice.shape), strict=True))
+    shapes = {}
+    for name in names:
+        axes = LAYOUT[name][0]
+        claimed = _document(archive, name)["shape"]
+        _require(len(claimed) == len(axes), f"the shape of {name}")
+        for axis, length in zip(axes, claimed, strict=True):
+            _require(isinstance(length, int) and length >= 0, f"the shape of {name}")
+            expected = lengths.setdefault(axis, length) if isinstance(axis, str) else axis
+            _require(length == expected, f"the shape of {name}")
+        shapes[name] = tuple(claimed)
+    return shapes
 
 
 def _document(archive: zipfile.ZipFile, name: str) -> Any:
@@ -210,7 +268,7 @@ def _check_sizes(archive: zipfile.ZipFile, path: Path, shapes: Mapping[str, tupl
     actual = path.stat().st_size
     entries = {info.filename: info for info in archive.infolist()}
     _require(sum(info.file_size for info in entries.values()) <= actual, "the sizes of its entries")
-    kinds = {name: _TABLES.get(name) or CHANNELS[name][1] for name in shapes}
+    kinds = {name: LAYOUT[name][1] for name in shapes}
     claimed = sum(prod(shape) * np.dtype(kinds[name]).itemsize for name, shape in shapes.items())
     _require(claimed <= _MOST_SHRINKAGE * actual, f"it claims to hold {claimed} bytes")
     for name, shape in shapes.items():
@@ -240,12 +298,47 @@ def _assembled(lattice: Lattice, metadata: Metadata, arrays: Mapping[str, np.nda
     bricks = Bricks.of(slot >= 0, far)
     same = np.array_equal(bricks.slot, slot) and len(bricks) == len(arrays["distance"])
     _require(same, "its table of bricks")
-    for name in ("far", "distance", "uv"):
-        _require(name not in arrays or bool(np.isfinite(arrays[name]).all()), f"{name} is not finite")
-    part, chart = arrays.get("part"), arrays.get("chart")
-    _require(part is None or bool(part.max(initial=0) < max(len(metadata.parts), 1)), "its part ids")
-    _require(
-        chart is None or bool(chart.min(initial=0) >= 0 and chart.max(initial=0) < max(metadata.charts, 1)),
-        "its chart ids",
+    _check_values(metadata, arrays)
+    records = {name: _record(kind, name, arrays) for name, kind in (("surface", FaceTable), ("layers", Layers))}
+    channels = {name: arrays.get(name) for name in ("uv", "chart", "part")}
+    return Grid(
+        lattice,
+        bricks,
+        arrays["distance"],
+        **channels,
+        metadata=metadata,
+        face=arrays.get("face"),
+        surface=records["surface"],
+        layers=records["layers"],
+        error=arrays.get("error"),
     )
-    return Grid(lattice, bricks, arrays["distance"], arrays.get("uv"), chart, part, metadata)
+
+
+def _record(kind: Any, group: str, arrays: Mapping[str, np.ndarray]) -> Any:
+    """Build a record of several arrays, or None where they were not read."""
+    named = {name.partition(".")[2]: values for name, values in arrays.items() if name.startswith(f"{group}.")}
+    return kind(**named) if named else None
+
+
+def _check_values(metadata: Metadata, arrays: Mapping[str, np.ndarray]) -> None:
+    """Look at the values that readers use as they are: numbers that must be finite, and indices."""
+    for name in ("far", "distance", "uv", "error", "surface.vertices", "surface.uv", "layers.offset", "layers.scale"):
+        _require(name not in arrays or bool(np.isfinite(arrays[name]).all()), f"{name} is not finite")
+    nobody = np.zeros(0, np.int32)
+    charts = max(metadata.charts, 1)
+    limits = {
+        "part": (0, max(len(metadata.parts), 1)),
+        "chart": (0, charts),
+        "face": (-1, len(arrays.get("surface.corners", nobody))),
+        "surface.corners": (0, len(arrays.get("surface.vertices", nobody))),
+        "surface.chart": (0, charts),
+        "layers.brick": (0, len(arrays["distance"])),
+        "layers.chart": (0, len(arrays.get("layers.of", nobody))),
+        "layers.of": (0, charts),
+    }
+    for name, (least, end) in limits.items():
+        values = arrays.get(name, nobody)
+        within = values.size == 0 or bool(values.min() >= least and values.max() < end)
+        _require(within, f"the ids of {name}")
+    rows = arrays.get("layers.brick", nobody)
+    _require(bool((np.diff(rows) >= 0).all()), "the order of its layers")

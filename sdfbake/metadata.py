@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sdfbake.lattice import BAND
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+MODES = ("faces", "layers", "grid")  # of texture coordinates, the most exact first
 
 
 @cache
@@ -64,8 +65,12 @@ class Metadata(BaseModel):
         Names of the parts, in the order of their ids.
     charts
         Number of charts of the atlas; 0 without texture coordinates.
-    uv_mode
-        How texture coordinates are stored: "none" or "grid" (Galim 2018, eq. 22).
+    uv_modes
+        How texture coordinates are stored, in the order of `MODES`; none without them.
+    overflow
+        Cells whose charts beyond the third were left out of the layers.
+    texture
+        Image that the mesh's file names for it.
     options
         What the bake was asked for.
     edge_over_h
@@ -85,7 +90,9 @@ class Metadata(BaseModel):
     sign: Sign = Sign()
     parts: tuple[str, ...] = ("surface",)
     charts: int = Field(default=0, ge=0)
-    uv_mode: Literal["none", "grid"] = "none"
+    uv_modes: tuple[Literal["faces", "layers", "grid"], ...] = ()
+    overflow: int = Field(default=0, ge=0)
+    texture: str | None = None
     options: dict[str, str | int | float | bool | None] = {}
     edge_over_h: float | None = None
     checksums: dict[str, str] = {}

@@ -59,7 +59,7 @@ def test_unwrap_then_bake_then_info(unwrapped, tmp_path):
     ended = run("bake", unwrapped, "-o", grid, "-n", 24, "--json")
     record = json.loads(ended.stdout)
     assert ended.stderr == ""
-    assert record["lattice"]["shape"] == [24, 24, 24] and record["uv_mode"] == "grid"
+    assert record["lattice"]["shape"] == [24, 24, 24] and record["uv_modes"] == ["grid"]
     told = json.loads(run("info", grid, "--json").stdout)
     record.pop("done")
     assert told == record
@@ -135,7 +135,7 @@ def test_bake_unwraps_when_asked_and_mends(tmp_path):
         run("bake", tmp_path / "dirty.ply", "-o", tmp_path / "a.zarr.zip", "-n", 16, "--unwrap", "--json").stdout
     )
     assert record["done"] == ["2 degenerate or duplicate faces removed", "unwrapped"]
-    assert record["uv_mode"] == "grid" and record["sign"]["method"] == "pseudonormal"
+    assert record["uv_modes"] == ["grid"] and record["sign"]["method"] == "pseudonormal"
 
 
 def test_same_bytes_twice(unwrapped, tmp_path):

@@ -193,7 +193,7 @@ def test_hostile_file(saved, tmp_path, changes):
 
 
 def test_version_is_named(saved, tmp_path):
-    with pytest.raises(BadInput, match="format version 99, this tool reads 1"):
+    with pytest.raises(BadInput, match="format version 99, this tool reads 2"):
         Grid.load(rewritten(saved, tmp_path / "new.zip", HOSTILE["version"]))
 
 

@@ -37,7 +37,7 @@ def describe(grid: Grid, path: Path) -> dict[str, Any]:
         "sign": metadata.sign.model_dump(),
         "parts": list(metadata.parts),
         "charts": metadata.charts,
-        "uv_mode": metadata.uv_mode,
+        "uv_modes": list(metadata.uv_modes),
         "edge_over_h": metadata.edge_over_h,
         "tool_version": metadata.tool_version,
     }
