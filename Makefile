@@ -97,7 +97,7 @@ $(BUILD)/grids/exact-%@$(1).zarr.zip: $(BAKE_CODE) $(MESH_CODE) | $(READY)
 	$(PY) -m datasets_synthetic sample $$* -n $(1) -o $$@
 
 $(BUILD)/grids/%@$(1).zarr.zip: $(BUILD)/meshes/%.ply $(BAKE_CODE) | $(READY)
-	$(PY) -m sdfbake bake $$< -n $(1) -o $$@ > /dev/null
+	$(PY) -m sdfbake bake $$< -n $(1) --uv-mode faces,layers,grid -o $$@ > /dev/null
 endef
 $(foreach n,16 32 64 128 256 512 1024,$(eval $(call grid_rules,$(n))))
 

@@ -8,7 +8,9 @@ import click
 from sdfbake import commandline
 from sdfbake.commands.bake import bake
 from sdfbake.commands.check import check
+from sdfbake.commands.diff import diff
 from sdfbake.commands.info import info
+from sdfbake.commands.mesh import mesh
 from sdfbake.commands.unwrap import unwrap
 
 
@@ -17,7 +19,7 @@ def cli() -> None:
     """Meshes to signed distance grids with texture coordinates."""
 
 
-for command in (check, unwrap, bake, info):
+for command in (check, unwrap, bake, info, mesh, diff):
     cli.add_command(command)
 
 if __name__ == "__main__":

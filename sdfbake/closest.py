@@ -6,6 +6,7 @@ recentred and scaled by a power of two, where float64 loses nothing.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,11 +14,13 @@ from jaxtyping import Float, Int
 
 from sdfbake import triangle
 from sdfbake.complaint import BadInput
+from sdfbake.engine.numpy import NumpyEngine
 from sdfbake.mesh import Mesh
 from sdfbake.topology import Topology, twice_areas
 
 # Weights of corners that are zero but for rounding: the rounding of a foot point is a few eps of the face's size.
 _ROUNDING = 1e-10
+_ENGINE = NumpyEngine(64)
 _CHUNK = 1 << 15  # points refined at once: about thirty temporary columns stay in the cache
 
 
@@ -45,7 +48,15 @@ class Closest(NamedTuple):
     feature: Int[np.ndarray, " n"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+class _Found(NamedTuple):
+    """Distance, weights and feature on given faces, unit frame."""
+
+    distance: Float[np.ndarray, " n"]
+    barycentric: Float[np.ndarray, "n 3"]
+    feature: Int[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
 class Surface:
     """A mesh made ready for queries.
 
@@ -71,19 +82,16 @@ class Surface:
     topology: Topology
     least_of_edge: Int[np.ndarray, " e"]
     least_of_vertex: Int[np.ndarray, " v"]
-    _tree: Any
 
     @staticmethod
-    def of(mesh: Mesh) -> "Surface":
-        """Build the tree and the tables.
+    def of(mesh: Mesh, topology: Topology | None = None) -> "Surface":
+        """Build the tables; `topology` is that of all faces, if it is known already.
 
         Raises
         ------
         BadInput
             If no face has an area.
         """
-        import igl  # here, so that `import sdfbake` is light
-
         low, high = mesh.bounds
         centre, scale = (low + high) / 2, float(2.0 ** np.ceil(np.log2(max((high - low).max() / 2, 1e-300))))
         vertices = np.ascontiguousarray((mesh.vertices - centre) / scale)
@@ -91,12 +99,20 @@ class Surface:
         if len(ids) == 0:
             raise BadInput("no face of the mesh has an area: export a surface mesh")
         faces = np.ascontiguousarray(mesh.faces[ids])
-        topology = Topology.of(faces)
+        if topology is None or len(faces) < len(mesh.faces):
+            topology = Topology.of(faces)
         least_of_edge = _least(topology.edge, len(topology.edges))
         least_of_vertex = _least(faces, len(vertices))
+        return Surface(centre, scale, vertices, faces, ids, topology, least_of_edge, least_of_vertex)
+
+    @cached_property
+    def _tree(self) -> Any:
+        """Bounding boxes, built when the first query comes."""
+        import igl  # here, so that `import sdfbake` is light
+
         tree = igl.AABB()
-        tree.init(vertices, faces)
-        return Surface(centre, scale, vertices, faces, ids, topology, least_of_edge, least_of_vertex, tree)
+        tree.init(self.vertices, self.faces)
+        return tree
 
     def to_unit(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Return points in the unit frame."""
@@ -121,7 +137,7 @@ class Surface:
 
     def _settled(
         self, face: Int[np.ndarray, " n"], q: Float[np.ndarray, "n 3"]
-    ) -> tuple[Int[np.ndarray, " n"], triangle.Nearest]:
+    ) -> "tuple[Int[np.ndarray, ' n'], _Found]":
         """Take the lowest face of the closest feature; every face of that edge or corner is equally near."""
         found = self._from_face(face, q)
         lowest = self._lowest(face, found.barycentric)
@@ -144,21 +160,24 @@ class Surface:
         lowest: Int[np.ndarray, " n"] = np.choose(off.sum(axis=1), [face, by_edge, by_corner])
         return lowest
 
-    def _from_face(self, face: Int[np.ndarray, " n"], q: Float[np.ndarray, "n 3"]) -> triangle.Nearest:
+    def _from_face(self, face: Int[np.ndarray, " n"], q: Float[np.ndarray, "n 3"]) -> "_Found":
         """Compute distances from given faces, unit frame, in pieces that stay in the cache."""
         pieces = []
         for start in range(0, max(len(face), 1), _CHUNK):
             part = slice(start, start + _CHUNK)
-            a, b, c = np.moveaxis(self.vertices[self.faces[face[part]]], (1, 2), (0, 1))
-            pieces.append(triangle.nearest(np.ascontiguousarray(q[part].T), a, b, c))
-        return triangle.Nearest(*(np.concatenate(columns) for columns in zip(*pieces, strict=True)))
+            a, b, c = (tuple(column) for column in np.moveaxis(self.vertices[self.faces[face[part]]], (1, 2), (0, 1)))
+            x, y, z = np.ascontiguousarray(q[part].T)
+            with np.errstate(all="ignore"):  # faces of no use are masked out
+                at = triangle.nearest(_ENGINE, (x, y, z), (a, b, c))
+            pieces.append(_Found(at.distance, np.stack(at.barycentric, axis=-1), at.feature.astype(np.int8)))
+        return _Found(*(np.concatenate(columns) for columns in zip(*pieces, strict=True)))
 
 
 def _least(of: Int[np.ndarray, "f 3"], count: int) -> Int[np.ndarray, " count"]:
     """Return the lowest face that names each of `count` things; 0 where none does."""
-    names, first = np.unique(of.reshape(-1), return_index=True)
     least = np.zeros(count, np.int64)
-    least[names] = first // 3
+    # Of several values for one entry the last is kept: from the end, that is the lowest.
+    least[of.reshape(-1)[::-1]] = np.arange(of.size)[::-1] // 3
     return least
 
 

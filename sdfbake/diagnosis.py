@@ -18,7 +18,7 @@ Consequence = Literal["refused", "repairable", "noted"]
 _ADVICE = {
     "empty": "export a surface mesh",
     "non-finite": "export it again, or delete those vertices",
-    "open": "close its holes, in MeshLab for example",
+    "open": "close its holes, or say what inside means with --open winding or --open shell:THICKNESS",
 }
 
 
@@ -85,10 +85,10 @@ class Diagnosis:
         """Say whether a defect was found."""
         return any(finding.name == name for finding in self.findings)
 
-    def require_bakeable(self) -> None:
-        """Raise BadInput with the first finding that is refused."""
+    def require_bakeable(self, *, open_too: bool = False) -> None:
+        """Raise BadInput with the first finding that is refused; holes are not if it was said what inside means."""
         for finding in self.findings:
-            if finding.consequence == "refused":
+            if finding.consequence == "refused" and not (open_too and finding.name == "open"):
                 raise BadInput(f"the mesh is {finding}: {_ADVICE[finding.name]}")
 
     def record(self) -> dict[str, Any]:
@@ -97,13 +97,15 @@ class Diagnosis:
         return {"verdict": verdict, "findings": [asdict(finding) for finding in self.findings]}
 
 
-def diagnose(mesh: Mesh) -> Diagnosis:
+def diagnose(mesh: Mesh, topology: Topology | None = None) -> Diagnosis:
     """Look for everything that can be told from the arrays alone (self-intersections: `sdfbake.repair.crossings`).
 
     Parameters
     ----------
     mesh
         Any mesh; non-finite or empty ones end the search at once.
+    topology
+        Of all its faces, if it is known already.
     """
     if len(mesh.faces) == 0:
         return Diagnosis((Finding("empty", 0, "faces", None, "refused"),))
@@ -113,41 +115,55 @@ def diagnose(mesh: Mesh) -> Diagnosis:
     degenerate = twice_areas(mesh.vertices, mesh.faces) == 0
     if degenerate.all():
         return Diagnosis((Finding("empty", len(mesh.faces), "faces without area", None, "refused"),))
-    return Diagnosis(tuple(_vertex_and_face_findings(mesh, degenerate) + _edge_findings(mesh)))
+    return Diagnosis(tuple(_vertex_and_face_findings(mesh, degenerate) + _edge_findings(mesh, topology)))
 
 
 def _vertex_and_face_findings(mesh: Mesh, degenerate: Bool[np.ndarray, " f"]) -> list[Finding]:
     """Find what single faces and vertices show."""
-    centres = mesh.vertices[mesh.faces].mean(axis=1)
     unused = np.ones(len(mesh.vertices), bool)
     unused[mesh.faces] = False
-    _, first = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_index=True)
-    repeated = np.ones(len(mesh.faces), bool)
-    repeated[first] = False
+    repeated = _repeated(mesh.faces)
     found = [
-        _finding("degenerate", "faces", centres[degenerate], "repairable"),
-        _finding("duplicate", "faces", centres[repeated], "repairable"),
+        _finding("degenerate", "faces", _middles(mesh, mesh.faces[degenerate]), "repairable"),
+        _finding("duplicate", "faces", _middles(mesh, mesh.faces[repeated]), "repairable"),
         _finding("unreferenced", "vertices", mesh.vertices[unused], "repairable"),
     ]
     return [finding for finding in found if finding.count]
 
 
-def _edge_findings(mesh: Mesh) -> list[Finding]:
+def _repeated(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
+    """Say which faces have the vertices of one before them."""
+    low, middle, high = np.sort(faces, axis=1).T
+    order = np.lexsort((high, middle, low))
+    same = np.logical_and.reduce([column[order][1:] == column[order][:-1] for column in (low, middle, high)])
+    repeated = np.zeros(len(faces), bool)
+    repeated[order[1:]] = same
+    return repeated
+
+
+def _edge_findings(mesh: Mesh, topology: Topology | None) -> list[Finding]:
     """Find what edges show, on the faces with three different vertices."""
     faces = proper(mesh.faces)
-    topology = Topology.of(faces)
-    middles = mesh.vertices[topology.edges].mean(axis=1)
+    if topology is None or len(faces) < len(mesh.faces):
+        topology = Topology.of(faces)
+    edges = topology.edges
     found = [
-        _finding("flipped", "edges", middles[topology.flipped_edges], "repairable"),
-        _finding("open", "boundary edges", middles[topology.open_edges], "refused"),
-        _finding("non-manifold", "edges", middles[topology.crowded_edges], "noted"),
+        _finding("flipped", "edges", _middles(mesh, edges[topology.flipped_edges]), "repairable"),
+        _finding("open", "boundary edges", _middles(mesh, edges[topology.open_edges]), "refused"),
+        _finding("non-manifold", "edges", _middles(mesh, edges[topology.crowded_edges]), "noted"),
     ]
     if not any(finding.count for finding in found):
         pinched = mesh.vertices[topology.pinched_vertices(faces)]
         found = [_finding("non-manifold", "vertices", pinched, "noted")]
         if signed_volume(mesh.vertices, faces) < 0:
-            found.append(_finding("inside-out", "faces", mesh.vertices[faces].mean(axis=1), "repairable"))
+            found.append(_finding("inside-out", "faces", _middles(mesh, faces), "repairable"))
     return [finding for finding in found if finding.count]
+
+
+def _middles(mesh: Mesh, which: Int[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
+    """Return the middles of edges or faces."""
+    middle: Float[np.ndarray, "n 3"] = mesh.vertices[which].mean(axis=1)
+    return middle
 
 
 def proper(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "g 3"]:

@@ -3,7 +3,7 @@
 In: an exact shape, a dense array, or what a bake computed. Out: a frozen `Grid`.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from sdfbake.dense import needed
 from sdfbake.faces import FaceTable
 from sdfbake.lattice import BAND, Lattice
 from sdfbake.layers import Layers
+from sdfbake.mesh import Mesh
 from sdfbake.metadata import Metadata
 from sdfbake.shape import Charted, Shape
 
@@ -196,15 +197,13 @@ class Grid:
 
         return load(path, channels)
 
-    def to_dense(self) -> Float[np.ndarray, "nx ny nz"]:
-        """Return all samples as one float32 array; absent bricks are filled with their signed bound."""
-        bx, by, bz = self.bricks.slot.shape
-        dense = np.empty((bx, SIDE, by, SIDE, bz, SIDE), np.float32)
-        dense[:] = self.bricks.far[:, None, :, None, :, None]
-        x, y, z = self.bricks.index.T
-        dense[x, :, y, :, z, :] = self.distance
-        nx, ny, nz = self.lattice.shape
-        return dense.reshape(SIDE * bx, SIDE * by, SIDE * bz)[:nx, :ny, :nz]
+    def to_dense(
+        self, exact: Mesh | bool = False, progress: Callable[[str, float], None] | None = None
+    ) -> Float[np.ndarray, "nx ny nz"]:
+        """Return all samples as one float32 array, bounds or exact beyond the band; see `sdfbake.densify.dense`."""
+        from sdfbake.densify import dense  # it imports Grid, so Grid meets it only here
+
+        return dense(self, exact, progress)
 
     def samples(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
         """Return the samples of the exact band.

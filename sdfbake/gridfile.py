@@ -8,10 +8,10 @@ import hashlib
 import json
 import struct
 import zipfile
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import zarr
@@ -27,6 +27,7 @@ from sdfbake.lattice import Lattice
 from sdfbake.layers import Layers
 from sdfbake.metadata import FORMAT_VERSION, Metadata
 
+Result = TypeVar("Result")
 KIND = "sdf-ray-differentials grid"
 # Every array that a file may have: its axes (a letter is a length that several arrays share) and how it is stored.
 _BRICK = ("k", SIDE, SIDE, SIDE)
@@ -96,14 +97,29 @@ def load(path: str | Path, channels: Collection[str] | None = None) -> Grid:
     BadInput
         If there is no such file, or it is no grid, cut short, altered, or of another version.
     """
-    path = Path(path)
     unknown = sorted(set(channels or ()) - {"distance", *CHOICES})
     if unknown:
         raise BadInput(f"a grid has no channel {unknown[0]!r}: choose from {', '.join(CHOICES)}")
+    return _trusting(path, lambda file: _read(file, channels))
+
+
+def describe(path: str | Path) -> Metadata:
+    """Read what a grid file says about itself, and none of its arrays; errors are those of `load`."""
+
+    def head(file: Path) -> Metadata:
+        with zipfile.ZipFile(file) as archive:
+            return _read_head(archive)[1]
+
+    return _trusting(path, head)
+
+
+def _trusting(path: str | Path, read: Callable[[Path], Result]) -> Result:
+    """Read a file, and say in one sentence what is wrong with it."""
+    path = Path(path)
     if not path.is_file():
         raise BadInput(f"there is no grid file {path}: bake one with 'python -m sdfbake bake'")
     try:
-        return _read(path, channels)
+        return read(path)
     except PermissionError:
         raise BadInput(f"the grid file {path} may not be read: check its permissions") from None
     except (_DistrustError, *_BROKEN) as error:

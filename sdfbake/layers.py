@@ -19,8 +19,13 @@ class Layers:
     """One row per brick and (virtual) chart that comes near a cell of the brick with surface in it.
 
     A sample x holds, where c is the point of the chart closest to it and f the face of c: the texture coordinates of
-    c, continued by f's affine map where c is on the chart's border; the signed distance to that border, negative if c
-    is inside; and f's normal. All eight samples of a cell hold a layer if one does because of that cell.
+    c, continued by f's affine map (at a corner by the mean of the maps around it) where c is on the chart's border; the
+    signed distance to that border, which is -|c - border| if c is inside, else the length of x - c along f's plane; and
+    f's normal. All eight samples of a cell hold a layer if one does because of that cell; where only some do, they do
+    because of other cells, and the cell has no such layer.
+
+    At a hit, all are interpolated trilinearly; of the layers of its cell whose mean normal faces the hit's normal, that
+    of the least border distance holds the texture coordinates.
 
     Attributes
     ----------
@@ -28,11 +33,12 @@ class Layers:
         Slot of the brick, ascending, int32; the rows of a brick ascend by chart.
     chart
         Virtual chart, int32: a row of `offset`, `scale` and `of`. A chart that folds over within a cell is cut into
-        several by the direction of its normals.
+        several by the direction of its normals; one that meets itself along a cut, by halves of its image.
     uv
         16 bits: texture coordinates are offset + scale * uv / 65535 of the row's chart.
     border
-        Voxels, float16, clamped to +-8; infinite at samples where the row says nothing.
+        Voxels, float16, clamped to +-8 (so far inside where the chart has no border); infinite at samples where the
+        row says nothing.
     normal
         127 times the unit normal, int8; 0 where the row says nothing.
     offset, scale

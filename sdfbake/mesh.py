@@ -33,6 +33,9 @@ class Mesh:
         Names of the parts.
     units
         Name of the unit of length; recorded, never converted.
+    texture
+        Path or name of the image that the file names for the surface's colour; recorded, never opened. An image inside
+        a file is FILE#image and its name or number. None where the file names none.
     """
 
     vertices: Float[np.ndarray, "v 3"]
@@ -42,6 +45,7 @@ class Mesh:
     part: Int[np.ndarray, " f"] = field(default_factory=lambda: np.zeros(0, np.int32))
     part_names: tuple[str, ...] = ("surface",)
     units: str = "unit"
+    texture: str | None = None
 
     def __post_init__(self) -> None:
         count = len(self.faces)
@@ -73,5 +77,7 @@ class Mesh:
     @property
     def bounds(self) -> Float[np.ndarray, "2 3"]:
         """Least and greatest corner of the box around the faces."""
-        used = self.vertices[self.faces].reshape(-1, 3)
-        return np.stack([used.min(axis=0), used.max(axis=0)])
+        used = np.zeros(len(self.vertices), bool)
+        used[self.faces] = True
+        p = self.vertices[used]
+        return np.stack([p.min(axis=0), p.max(axis=0)])

@@ -4,8 +4,13 @@ In: a file of any common format (trimesh reads it), or our own PLY (plyfile: dou
 corner, chart and part per face). Out: a welded `Mesh`; and a `Mesh` back as PLY, the same bytes for the same mesh.
 """
 
+import json
 import re
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+from urllib.parse import quote, unquote
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,6 +23,8 @@ from sdfbake.mesh import Mesh
 
 # Names that programs give to texture coordinates per vertex.
 _VERTEX_UV = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+# What a path keeps in an ASCII line; the rest, and the percent sign, are escaped as in URLs.
+_PRINTABLE = "".join(map(chr, range(33, 127))).replace("%", "") + " "
 _FACE = [("vertex_indices", "<i4", (3,)), ("texcoord", "<f8", (6,)), ("chart", "<i4"), ("part", "<i4")]
 
 
@@ -32,7 +39,14 @@ def load(path: str | Path) -> Mesh:
     Returns
     -------
     Mesh
-        Vertices with equal bits are one; texture coordinates stay per corner; faces keep their order.
+        Vertices with equal bits are one; texture coordinates stay per corner; faces keep their order. `texture` is the
+        image of the first part that has one: a path, FILE.glb#image NAME inside a file, or the bare name of one that is
+        missing.
+
+    Warns
+    -----
+    UserWarning
+        If the image is missing, or the parts have several.
 
     Raises
     ------
@@ -43,7 +57,7 @@ def load(path: str | Path) -> Mesh:
     if not path.is_file():
         raise BadInput(f"there is no mesh file {path}: check the path")
     try:
-        mesh = {".ply": _load_ply, ".obj": _load_obj}.get(path.suffix.lower(), _load_any)(path)
+        mesh, images = {".ply": _load_ply, ".obj": _load_obj}.get(path.suffix.lower(), _load_any)(path)
     except BadInput as complaint:
         raise BadInput(f"{path}: {complaint}") from None
     except Exception as error:  # foreign parsers raise whatever their formats' authors thought of
@@ -51,11 +65,13 @@ def load(path: str | Path) -> Mesh:
         raise BadInput(f"{path} cannot be read as a mesh ({reason}): give a PLY, OBJ, STL, OFF or glTF file") from None
     if len(mesh.faces) == 0:
         raise BadInput(f"{path} has no triangles: export a surface mesh")
-    return mesh
+    return mesh.with_(texture=_one_of(images, path)) if images else mesh
 
 
 def save(mesh: Mesh, path: str | Path) -> None:
     """Write a mesh as binary PLY: double vertices; per face vertex indices, texcoord list, chart and part.
+
+    Units, part names and texture are comments: `units mm`, `part 0 glass`, `texture wood.png`.
 
     Raises
     ------
@@ -74,8 +90,11 @@ def save(mesh: Mesh, path: str | Path) -> None:
     lengths = {name: "u1" for name, *_ in _FACE[:2]}
     elements = [PlyElement.describe(vertex, "vertex"), PlyElement.describe(face, "face", len_types=lengths)]
     comments = [f"units {mesh.units}", *(f"part {i} {name}" for i, name in enumerate(mesh.part_names))]
+    comments = [_plain(comment) for comment in comments]
+    if mesh.texture is not None:
+        comments.append(f"texture {quote(mesh.texture, safe=_PRINTABLE)}")  # a path must come back as it was
     with replacing(path) as temporary:
-        PlyData(elements, byte_order="<", comments=[_plain(comment) for comment in comments]).write(str(temporary))
+        PlyData(elements, byte_order="<", comments=comments).write(str(temporary))
 
 
 def weld(vertices: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, " v"]]:
@@ -91,7 +110,7 @@ def weld(vertices: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, "w 3"], 
     return vertices[np.sort(first)], rank[group]
 
 
-def _load_ply(path: Path) -> Mesh:
+def _load_ply(path: Path) -> tuple[Mesh, Sequence[str]]:
     """Read a PLY, ours or foreign."""
     from plyfile import PlyData, PlyElementParseError, PlyHeaderParseError
 
@@ -119,7 +138,11 @@ def _load_ply(path: Path) -> Mesh:
     units = next((c[1] for c in comments if len(c) == 2 and c[0] == "units"), "unit")
     if len(parts) <= highest:
         parts = tuple(f"part {i}" for i in range(highest + 1))
-    return Mesh(vertices, faces, uv, part_names=parts, units=units, **tables)
+    texture = next((unquote(c[len("texture ") :]) for c in data.comments if c.startswith("texture ")), None)
+    # MeshLab's word for it.
+    foreign = [comment.split(maxsplit=1)[1:] for comment in data.comments if comment.startswith("TextureFile ")]
+    images = [objfile.beside(path, name[0]) for name in foreign if name and texture is None]
+    return Mesh(vertices, faces, uv, part_names=parts, units=units, texture=texture, **tables), images
 
 
 def _fans(lists: np.ndarray) -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, " f"]]:
@@ -148,16 +171,16 @@ def _ply_uv(vertex: np.ndarray, face: np.ndarray, corners: np.ndarray, parent: n
     return None
 
 
-def _load_obj(path: Path) -> Mesh:
+def _load_obj(path: Path) -> tuple[Mesh, Sequence[str]]:
     """Read an OBJ."""
     obj = objfile.read(path)
     vertices, place = weld(obj.vertices)
     faces = place[obj.faces]
     chart = np.zeros(len(faces), np.int32) if obj.uv is None else charts_of(faces, obj.uv)
-    return Mesh(vertices, faces, obj.uv, chart, obj.part, obj.part_names)
+    return Mesh(vertices, faces, obj.uv, chart, obj.part, obj.part_names), objfile.images(path, obj)
 
 
-def _load_any(path: Path) -> Mesh:
+def _load_any(path: Path) -> tuple[Mesh, Sequence[str]]:
     """Read what trimesh reads, one part per geometry of the scene."""
     import trimesh
 
@@ -177,7 +200,50 @@ def _load_any(path: Path) -> Mesh:
         uv = np.concatenate(coordinates).astype(np.float64)[corners]
         chart = charts_of(faces, uv)
     names = tuple(name for name, _, _ in pieces) if len(pieces) > 1 else ("surface",)
-    return Mesh(welded, faces, uv, chart, part, names)
+    images = _gltf_images(path) if path.suffix.lower() in (".gltf", ".glb") else ()
+    return Mesh(welded, faces, uv, chart, part, names), images
+
+
+def _gltf_images(path: Path) -> Sequence[str]:
+    """Return the image of every used material's base colour, in the order of the file's meshes."""
+    with path.open("rb") as file:
+        head = file.read(20)  # of a GLB: magic, version, length; length and type of the first chunk, which is the JSON
+        binary = head[:4] == b"glTF"
+        text = file.read(int.from_bytes(head[12:16], "little")) if binary else head + file.read()
+    tree = json.loads(text)
+    used = [primitive.get("material") for mesh in tree.get("meshes", ()) for primitive in mesh["primitives"]]
+    named = (_gltf_image(path, tree, material) for material in dict.fromkeys(used) if material is not None)
+    return [name for name in named if name is not None]
+
+
+def _gltf_image(path: Path, tree: dict[str, Any], material: int) -> str | None:
+    """Return the image of a material's base colour, or None."""
+    colour = tree["materials"][material].get("pbrMetallicRoughness", {}).get("baseColorTexture")
+    if colour is None:
+        return None
+    texture = tree["textures"][colour["index"]]
+    # Formats that not every program reads, such as WebP, are named by an extension.
+    sources = [texture, *texture.get("extensions", {}).values()]
+    source = next((entry["source"] for entry in sources if "source" in entry), None)
+    if source is None:
+        return None
+    image = tree["images"][source]
+    if "uri" in image and not image["uri"].startswith("data:"):
+        return objfile.beside(path, unquote(image["uri"]))
+    return f"{path}#image {image.get('name') or source}"
+
+
+def _one_of(images: Sequence[str], path: Path) -> str:
+    """Return the first image, an existing one if possible, and warn of what that leaves out."""
+    names = tuple(dict.fromkeys(images))
+    there = [name for name in names if Path(name.partition("#image ")[0]).is_file()]
+    chosen = (there or names)[0]
+    if not there:
+        warnings.warn(f"{path} names the texture {chosen}, which is missing: put it there", UserWarning, stacklevel=3)
+    if len(names) > 1:
+        others = ", ".join(name for name in names if name != chosen)
+        warnings.warn(f"{path} has several textures: {chosen} is recorded, not {others}", UserWarning, stacklevel=3)
+    return chosen
 
 
 def _moved(vertices: np.ndarray, matrix: np.ndarray) -> Float[np.ndarray, "v 3"]:

@@ -107,7 +107,7 @@ def _returned(mesh: Mesh, result: Any) -> Mesh:
         # Every corner of the new face is found in the original one by position.
         same = place[vertex[faces]][:, :, None] == place[mesh.faces[face]][:, None, :]
         uv = np.take_along_axis(mesh.uv[face], same.argmax(axis=2)[:, :, None], axis=1)
-    return Mesh(mesh.vertices[vertex], faces, uv, mesh.chart[face], mesh.part[face], mesh.part_names, mesh.units)
+    return mesh.with_(vertices=mesh.vertices[vertex], faces=faces, uv=uv, chart=mesh.chart[face], part=mesh.part[face])
 
 
 def _open_edges(mesh: Mesh) -> int:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from sdfbake import triangle
 from sdfbake.closest import Closest, Surface
-from sdfbake.topology import signed_volume
+from sdfbake.topology import corners, cross, signed_volume
 
 _BLOCK = 4  # samples along the side of a block that is given one winding number, where the distances allow it
 
@@ -43,20 +43,22 @@ class Pseudonormals:
     @staticmethod
     def of(surface: Surface) -> "Pseudonormals":
         """Compute the normals of all features."""
-        p = surface.vertices[surface.faces]
-        normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        of_edge = np.zeros((len(surface.topology.edges), 3))
-        of_vertex = np.zeros((len(surface.vertices), 3))
+        p = corners(surface.vertices, surface.faces)
+        normal = cross(p[1] - p[0], p[2] - p[0])
+        normal /= np.sqrt((normal * normal).sum(axis=0))
+        of_edge = np.zeros((3, len(surface.topology.edges)))
+        of_vertex = np.zeros((3, len(surface.vertices)))
         for k in range(3):
-            u, v = p[:, (k + 1) % 3] - p[:, k], p[:, (k + 2) % 3] - p[:, k]
-            angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
+            u, v = p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]
+            turn = cross(u, v)
+            angle = np.arctan2(np.sqrt((turn * turn).sum(axis=0)), (u * v).sum(axis=0))
+            edge, vertex = surface.topology.edge[:, k], surface.faces[:, k]
             for axis in range(3):
-                of_edge[:, axis] += np.bincount(surface.topology.edge[:, k], normal[:, axis], len(of_edge))
-                weighted = angle * normal[:, axis]
-                of_vertex[:, axis] += np.bincount(surface.faces[:, k], weighted, len(of_vertex))
+                of_edge[axis] += np.bincount(edge, normal[axis], of_edge.shape[1])
+                of_vertex[axis] += np.bincount(vertex, angle * normal[axis], of_vertex.shape[1])
         outward = -1 if signed_volume(surface.vertices, surface.faces) < 0 else 1
-        return Pseudonormals(surface, normal, of_edge, of_vertex, outward)
+        of_face, edges, vertices = (np.ascontiguousarray(v.T) for v in (normal, of_edge, of_vertex))
+        return Pseudonormals(surface, of_face, edges, vertices, outward)
 
     def signs(self, p: Float[np.ndarray, "n 3"], at: Closest) -> Int[np.ndarray, " n"]:
         """Return the side of its closest point's feature on which every point lies: -1 inside, int8."""

@@ -7,19 +7,34 @@ crash or hang on bad meshes, and knows no time limit: a child process does the w
 import subprocess
 import sys
 import tempfile
+import warnings
 from pathlib import Path
 
 import numpy as np
 
+from sdfbake.atlas import quality
 from sdfbake.complaint import BadInput
+from sdfbake.lattice import Lattice
 from sdfbake.mesh import Mesh
+from sdfbake.topology import twice_areas
 
 TIMEOUT = 300.0
 PADDING = 2  # texels between charts; xatlas's own default of 0 lets them bleed into each other
 RESOLUTION = 1024
+GUTTER = 0.5  # voxels, about as well as a field on a grid knows where a chart ends
+# xatlas widens charts texel by texel: more padding is slow, and a coarser packing gives the same layout.
+_WIDEST = 64
+_TRIES = 3
 
 
-def unwrap(mesh: Mesh, *, timeout: float = TIMEOUT, padding: int = PADDING, resolution: int = RESOLUTION) -> Mesh:
+def unwrap(
+    mesh: Mesh,
+    *,
+    timeout: float = TIMEOUT,
+    padding: int = PADDING,
+    resolution: int = RESOLUTION,
+    for_resolution: int | None = None,
+) -> Mesh:
     """Lay a mesh out in an atlas; the same result for the same mesh.
 
     Parameters
@@ -32,6 +47,9 @@ def unwrap(mesh: Mesh, *, timeout: float = TIMEOUT, padding: int = PADDING, reso
         Texels between charts, at least 2.
     resolution
         Texels along the atlas, about; it sets what the padding is worth.
+    for_resolution
+        Samples along the longest axis of the grid that the mesh will be baked into. The padding is then at least half a
+        voxel of that grid, and is measured.
 
     Returns
     -------
@@ -42,15 +60,50 @@ def unwrap(mesh: Mesh, *, timeout: float = TIMEOUT, padding: int = PADDING, reso
     ------
     BadInput
         If the options make no sense, xatlas fails, or it takes too long.
+
+    Warns
+    -----
+    UserWarning
+        If the charts are too many for such a gutter.
     """
     if padding < PADDING or resolution < 16 or not timeout > 0:
         raise BadInput(f"unwrapping wants padding >= {PADDING}, resolution >= 16 and a timeout above 0")
+    if for_resolution is None:
+        return _packed(mesh, timeout, padding, resolution)
+    return _padded(mesh, timeout, padding, resolution, Lattice.around(mesh.bounds, for_resolution).spacing)
+
+
+def _padded(mesh: Mesh, timeout: float, padding: int, resolution: int, spacing: float) -> Mesh:
+    """Pack at a density chosen beforehand, which says what half a voxel is in texels; again if that falls short."""
+    area = twice_areas(mesh.vertices, mesh.faces).sum() / 2
+    # Three quarters of the atlas covered, which is what xatlas itself expects; the size that comes out is free.
+    density = min(resolution * np.sqrt(0.75 / max(area, 1e-300)), _WIDEST / (GUTTER * spacing))
+    padding = max(padding, int(np.ceil(GUTTER * spacing * density)))
+    for _ in range(_TRIES):
+        atlas = _packed(mesh, timeout, padding, resolution, density)
+        found = quality(atlas, resolution)
+        voxels = found.gutter_voxels(spacing)
+        if found.gutter is None or (found.gutter >= PADDING and voxels is not None and voxels >= GUTTER):
+            return atlas
+        padding *= 2
+    warnings.warn(
+        f"the charts are {found.gutter} texels of {resolution} and {voxels or 0:.2g} voxels apart, and should be "
+        f"{PADDING} texels and {GUTTER} voxels: give a larger --resolution or a finer grid",
+        UserWarning,
+        stacklevel=3,
+    )
+    return atlas
+
+
+def _packed(mesh: Mesh, timeout: float, padding: int, resolution: int, density: float = 0.0) -> Mesh:
+    """Unwrap at a resolution or, if it is given, at a density in texels per world unit."""
     low, high = mesh.bounds
     scale = 2.0 ** np.ceil(np.log2(max((high - low).max(), 1e-300)))
     with tempfile.TemporaryDirectory() as folder:
         given, made = Path(folder, "mesh.npz"), Path(folder, "atlas.npz")
         positions = ((mesh.vertices - (low + high) / 2) / scale).astype(np.float32)
-        np.savez(given, positions=positions, faces=mesh.faces.astype(np.uint32), options=[padding, resolution])
+        options = [padding, resolution, density * scale]
+        np.savez(given, positions=positions, faces=mesh.faces.astype(np.uint32), options=options)
         _run_child(given, made, timeout)
         with np.load(made) as atlas:
             uv, chart = atlas["uv"], atlas["chart"]
@@ -84,11 +137,13 @@ def _parametrize(given: Path, made: Path) -> None:
     import xatlas
 
     with np.load(given) as mesh:
-        positions, faces, (padding, resolution) = mesh["positions"], mesh["faces"], mesh["options"].tolist()
+        positions, faces, (padding, resolution, density) = mesh["positions"], mesh["faces"], mesh["options"].tolist()
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions, faces)
     packing = xatlas.PackOptions()
-    packing.padding, packing.resolution = padding, resolution
+    # Given both a density and a resolution, xatlas would cut the atlas into several.
+    packing.padding, packing.texels_per_unit = int(padding), density
+    packing.resolution = 0 if density else int(resolution)
     atlas.generate(pack_options=packing)
     vertex, indices, uv = atlas.get_mesh(0)
     if not np.array_equal(vertex[indices], faces):

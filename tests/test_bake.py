@@ -188,7 +188,7 @@ def textured():
 
 def test_uv_chart_and_part_of_the_closest_point():
     mesh = textured()
-    grid = bake(mesh, RESOLUTION)
+    grid = bake(mesh, RESOLUTION, uv_mode="grid")
     near = (np.abs(grid.distance) <= BAND * grid.lattice.spacing) & in_lattice(grid.bricks.index, grid.lattice.shape)
     p = grid.lattice.to_world(sample_index(grid.bricks.index)[near])
     chosen = np.random.default_rng(0).permutation(len(p))[:1500]
@@ -213,12 +213,13 @@ def test_uv_chart_and_part_of_the_closest_point():
 
 
 def test_uv_modes():
-    assert bake(ball(1), 16).uv is None and bake(textured(), 16).uv is not None
+    assert bake(ball(1), 16).metadata.uv_modes == () and bake(textured(), 16).metadata.uv_modes == ("faces",)
+    assert bake(textured(), 16, uv_mode="grid, faces").metadata.uv_modes == ("faces", "grid")
     assert bake(textured(), 16, uv_mode="none").uv is None
     with pytest.raises(BadInput, match="has none"):
         bake(ball(1), 16, uv_mode="grid")
-    with pytest.raises(BadInput, match="none or grid"):
-        bake(textured(), 16, uv_mode="faces")
+    with pytest.raises(BadInput, match="faces, layers, grid"):
+        bake(textured(), 16, uv_mode="fancy")
 
 
 def test_metadata():
@@ -236,7 +237,7 @@ def test_progress_goes_from_start_to_end():
     heard = []
     bake(ball(1), 32, progress=lambda stage, share: heard.append((stage, share)))
     stages = list(dict.fromkeys(stage for stage, _ in heard))
-    assert stages[:2] == ["bricks", "closest points"]
+    assert stages[:2] == ["bricks", "closest faces"]
     for stage in stages:
         shares = [share for name, share in heard if name == stage]
         assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 1

@@ -59,7 +59,7 @@ def test_unwrap_then_bake_then_info(unwrapped, tmp_path):
     ended = run("bake", unwrapped, "-o", grid, "-n", 24, "--json")
     record = json.loads(ended.stdout)
     assert ended.stderr == ""
-    assert record["lattice"]["shape"] == [24, 24, 24] and record["uv_modes"] == ["grid"]
+    assert record["lattice"]["shape"] == [24, 24, 24] and record["uv_modes"] == ["faces"]
     told = json.loads(run("info", grid, "--json").stdout)
     record.pop("done")
     assert told == record
@@ -135,7 +135,7 @@ def test_bake_unwraps_when_asked_and_mends(tmp_path):
         run("bake", tmp_path / "dirty.ply", "-o", tmp_path / "a.zarr.zip", "-n", 16, "--unwrap", "--json").stdout
     )
     assert record["done"] == ["2 degenerate or duplicate faces removed", "unwrapped"]
-    assert record["uv_modes"] == ["grid"] and record["sign"]["method"] == "pseudonormal"
+    assert record["uv_modes"] == ["faces"] and record["sign"]["method"] == "pseudonormal"
 
 
 def test_same_bytes_twice(unwrapped, tmp_path):
@@ -188,7 +188,10 @@ BAD = {
     "resolution text": (["good.ply", "-n", "many"], "many"),
     "memory": (["good.ply", "-n", "4096", "--max-memory", "0.5"], "GB"),
     "unwritable": (["good.ply", "-o", "file/x.zarr.zip"], "cannot write"),
-    "uv mode": (["good.ply", "--uv-mode", "faces"], "none or grid"),
+    "uv mode": (["good.ply", "--uv-mode", "fancy"], "faces, layers, grid"),
+    "uv mode without uv": (["good.ply", "--uv-mode", "faces"], "--unwrap"),
+    "smoothing": (["good.ply", "--smooth", "loop"], "none or ls3"),
+    "shell": (["good.ply", "--open", "shell:-1"], "above 0"),
     "sign": (["good.ply", "--sign", "dice"], "dice"),
     "option": (["good.ply", "--colour", "red"], "--colour"),
     "no mesh named": ([], "MESH"),

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sdfbake import commandline
-from sdfbake.commands.show import chart_count, json_option
+from sdfbake.commands.show import chart_count, json_option, progress
 from sdfbake.diagnosis import Diagnosis, diagnose
 from sdfbake.mesh import Mesh
 
@@ -18,7 +18,8 @@ def check(mesh: Path, *, as_json: bool) -> int:
     """Say what is wrong with MESH; exit code 0 if it can be baked, 2 if not."""
     from sdfbake.repair import crossings
 
-    loaded = Mesh.load(mesh)
+    with progress():
+        loaded = Mesh.load(mesh)
     found = diagnose(loaded)
     if not found.refused:
         found = Diagnosis(found.findings + crossings(loaded))
@@ -29,6 +30,7 @@ def check(mesh: Path, *, as_json: bool) -> int:
         "parts": list(loaded.part_names),
         "charts": chart_count(loaded),
         "uv": loaded.uv is not None,
+        "texture": loaded.texture,
         **found.record(),
     }
     if as_json:

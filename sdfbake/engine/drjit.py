@@ -11,8 +11,12 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from sdfbake.engine.protocol import Array, Program, State
+from sdfbake.engine.protocol import Array, Lists, Measure, Program, State
 from sdfbake.engine.tree import leaves, rebuild
+
+# Dr.Jit gives a thread 16,384 lanes at a time.
+_ENOUGH = 1 << 16
+_SHORT = 8  # items: shorter lists are not cut
 
 
 def _backend() -> ModuleType:
@@ -151,3 +155,133 @@ class DrjitEngine:
             lambda *flat: tuple(leaves(body(rebuild(state, list(flat)), constants))),
         )
         return rebuild(state, list(result))
+
+    def at(self, precision: int) -> "DrjitEngine":
+        """Return the engine of another precision; see `Engine.at`."""
+        return DrjitEngine(precision, self.name, self.types)
+
+    def lanes(self, count: int) -> Array:
+        """Return the integers from 0."""
+        return dr.arange(self.types.Int, count)
+
+    def rows(self, table: Array, index: Array, active: Array) -> tuple[Array, Array, Array, Array]:
+        """Look up rows of four; see `Engine.rows`."""
+        kind = self.types.Array4f64 if self.precision == 64 else self.types.Array4f
+        row = dr.gather(kind, table, self.types.UInt(index), active)
+        return row[0], row[1], row[2], row[3]
+
+    def kept(self, mask: Array) -> Array:
+        """Return the lanes where a mask holds."""
+        return self.types.Int(dr.compress(mask))
+
+    def first_least(
+        self, lists: Lists, lane: Sequence[Array], measure: Measure, tie: Callable[[Array], Array]
+    ) -> Array:
+        """Reduce lists; see `Engine.first_least`."""
+        lists, piece, lane = self._cut(lists, lane)
+        least, first = self._first_least(lists, lane, measure, tie)
+        if piece is None:
+            return first
+        dr.eval(least, first)
+        _, which = self._first_least(piece, (), lambda item: dr.gather(self.real_type, least, item), tie)
+        return dr.gather(self.types.Int, first, which)
+
+    def _first_least(
+        self, lists: Lists, lane: Sequence[Array], measure: Measure, tie: Callable[[Array], Array]
+    ) -> tuple[Array, Array]:
+        """Return the least measure and the first item that has it.
+
+        In one pass: an item takes the place of the first only if it is less beyond a tie, while the least goes down
+        all the time, so that many small steps do not lead away.
+        """
+
+        def body(j: Array, least: Array, first: Array) -> tuple[Array, Array, Array]:
+            item = dr.gather(self.types.Int, lists.items, j)
+            value = measure(item, *lane)
+            less = value < least - tie(least)
+            return j + 1, dr.minimum(least, value), dr.select(less, item, first)
+
+        most = float(np.finfo(np.float32).max)
+        end = lists.start + lists.count
+        state = (self.types.Int(lists.start), self.full(lists.start, most), self.full(lists.start, 0))
+        _, least, first = dr.while_loop(state, lambda j, least, first: j < end, body, mode="symbolic")
+        return least, first
+
+    def narrowed(self, lists: Lists, lane: Sequence[Array], within: Measure) -> Lists:
+        """Filter lists; see `Engine.narrowed`.
+
+        Every list gets the room that it had, so that one pass is enough; what stays empty is never read.
+        """
+        lists, piece, lane = self._cut(lists, lane)
+        start = dr.prefix_sum(lists.count)
+        dr.eval(start)
+        items = dr.empty(self.types.Int, self._total(start, lists.count))
+
+        def body(j: Array, at: Array) -> tuple[Array, Array]:
+            item = dr.gather(self.types.Int, lists.items, j)
+            good = within(item, *lane)
+            dr.scatter(items, item, self.types.UInt(at), good)
+            return j + 1, at + self.integer(good)
+
+        end = lists.start + lists.count
+        state = (self.types.Int(lists.start), self.types.Int(start))
+        _, last = dr.while_loop(state, lambda j, at: j < end, body, mode="symbolic")
+        count = last - start
+        dr.eval(count, items)
+        return Lists(start, count, items) if piece is None else self._joined(Lists(start, count, items), piece)
+
+    def _cut(self, lists: Lists, lane: Sequence[Array]) -> tuple[Lists, Lists | None, Sequence[Array]]:
+        """Cut the lists of few lanes into pieces that are lanes of their own, or threads would have nothing to do.
+
+        Also return, for every lane that there was, the list of its pieces; None where nothing was cut.
+        """
+        width = dr.width(lists.start)
+        pieces = min(_ENOUGH // width, len(lists.items) // (_SHORT * width))
+        if pieces < 2:
+            return lists, None, lane
+        piece = dr.arange(self.types.Int, width * pieces)
+        each = dr.opaque(self.types.Int, pieces)
+        of = piece // each
+        begin, count = (dr.gather(self.types.Int, array, of) for array in (lists.start, lists.count))
+        size = (count + each - 1) // each
+        start = dr.minimum((piece - of * each) * size, count)
+        cut = Lists(begin + start, dr.minimum(size, count - start), lists.items)
+        repeated = [dr.gather(type(known), known, of) for known in lane]
+        dr.eval(cut.start, cut.count, *repeated)
+        whole = dr.arange(self.types.Int, width)
+        return cut, Lists(whole * each, dr.full(self.types.Int, pieces, width), piece), repeated
+
+    def _joined(self, cut: Lists, piece: Lists) -> Lists:
+        """Put the pieces of every list together without gaps."""
+        start = dr.prefix_sum(cut.count)
+        dr.eval(start)
+        items = dr.empty(self.types.Int, self._total(start, cut.count))
+
+        def body(j: Array) -> tuple[Array]:
+            dr.scatter(items, dr.gather(self.types.Int, cut.items, cut.start + j), self.types.UInt(start + j))
+            return (j + 1,)
+
+        (last,) = dr.while_loop((start * 0,), lambda j: j < cut.count, body, mode="symbolic")
+        dr.eval(last, items)
+        first, final = piece.start, piece.start + piece.count - 1
+        begin = dr.gather(self.types.Int, start, first)
+        end = dr.gather(self.types.Int, start, final) + dr.gather(self.types.Int, cut.count, final)
+        count = end - begin
+        dr.eval(begin, count)
+        return Lists(begin, count, items)
+
+    @staticmethod
+    def _total(start: Array, count: Array) -> int:
+        last = dr.width(count) - 1
+        return max(1, int(start[last] + count[last]))
+
+    def scattered(self, size: int, fill: float | int, place: Array, value: Array, active: Array) -> Array:
+        """Put values in their places; see `Engine.scattered`."""
+        kind = self.types.Int if isinstance(fill, int) else self.real_type
+        whole = dr.full(kind, fill, size)
+        dr.scatter(whole, kind(value), self.types.UInt(place), active)
+        return whole
+
+    def settled(self, *arrays: Array) -> None:
+        """Run what was only described so far."""
+        dr.eval(*arrays)

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from sdfbake.engine.protocol import Array, Program, State
+from sdfbake.engine.pairs import Pairs, over_tiles
+from sdfbake.engine.protocol import Array, Lists, Measure, Program, State
 from sdfbake.engine.tree import leaves, rebuild
 
 TILE = 32768  # rays: 256 kB per float64 array, so that a program's live arrays stay in the caches
@@ -139,3 +140,54 @@ class NumpyEngine:
             current = rebuild(current, [leaf[kept] for leaf in leaves(current)])
             fixed = rebuild(fixed, [leaf[kept] for leaf in leaves(fixed)])
         return rebuild(state, result)
+
+    def at(self, precision: int) -> "NumpyEngine":
+        """Return the engine of another precision; see `Engine.at`."""
+        return NumpyEngine(precision)
+
+    def lanes(self, count: int) -> Array:
+        """Return the integers from 0."""
+        return np.arange(count, dtype=np.int32)
+
+    def rows(self, table: Array, index: Array, active: Array) -> tuple[Array, Array, Array, Array]:
+        """Look up rows of four; see `Engine.rows`."""
+        row = table.reshape(-1, 4).take(np.where(active, index, 0) if active is not True else index, axis=0)
+        return row[:, 0], row[:, 1], row[:, 2], row[:, 3]
+
+    def kept(self, mask: Array) -> Array:
+        """Return the lanes where a mask holds."""
+        return np.flatnonzero(mask).astype(np.int32)
+
+    def first_least(
+        self, lists: Lists, lane: Sequence[Array], measure: Measure, tie: Callable[[Array], Array]
+    ) -> Array:
+        """Reduce lists; see `Engine.first_least`."""
+
+        def first(pairs: Pairs) -> np.ndarray:
+            values = pairs.measured(measure)
+            least = pairs.least(values)
+            equal = values <= (least + tie(least))[pairs.owner]
+            place = np.where(equal, np.arange(len(values)), len(values))
+            found: np.ndarray = pairs.item[pairs.least(place)]
+            return found
+
+        return np.concatenate(over_tiles(lists, lane, first))
+
+    def narrowed(self, lists: Lists, lane: Sequence[Array], within: Measure) -> Lists:
+        """Filter lists; see `Engine.narrowed`."""
+
+        def filtered(pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
+            good = pairs.measured(within)
+            return pairs.item[good], np.bincount(pairs.owner[good], minlength=len(pairs.first)).astype(np.int32)
+
+        items, counts = (np.concatenate(parts) for parts in zip(*over_tiles(lists, lane, filtered), strict=True))
+        return Lists(np.cumsum(counts, dtype=np.int32) - counts, counts, items)
+
+    def scattered(self, size: int, fill: float | int, place: Array, value: Array, active: Array) -> Array:
+        """Put values in their places; see `Engine.scattered`."""
+        whole = np.full(size, fill, np.int32 if isinstance(fill, int) else self.float_type)
+        whole[place[active]] = value[active]
+        return whole
+
+    def settled(self, *arrays: Array) -> None:
+        """Do nothing: arrays are computed as they are described."""

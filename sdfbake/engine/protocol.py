@@ -6,13 +6,22 @@ dtype, or at a value: on a compiling engine there is none yet.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 Array = Any  # a NumPy array or a Dr.Jit array: the two share operators, not a type
 State = TypeVar("State", bound=tuple[Any, ...])
 Program = Callable[..., Mapping[str, Array]]
+Measure = Callable[..., Array]  # of an item and what its lane knows
+
+
+class Lists(NamedTuple):
+    """A list of items for every lane: `items[start : start + count]`, never empty; integers."""
+
+    start: Array
+    count: Array
+    items: Array
 
 
 @runtime_checkable
@@ -109,4 +118,43 @@ class Engine(Protocol):
         State and constants are nested tuples of full-width arrays; `constants` may also hold what is not an array
         through the closure of `body`. A ray whose condition fails keeps its state.
         """
+        ...
+
+    def at(self, precision: int) -> "Engine":
+        """Return the same engine with floats of another precision; integers and masks serve both."""
+        ...
+
+    def lanes(self, count: int) -> Array:
+        """Return the integers from 0."""
+        ...
+
+    def rows(self, table: Array, index: Array, active: Array) -> tuple[Array, Array, Array, Array]:
+        """Look up rows of four in a table of floats."""
+        ...
+
+    def kept(self, mask: Array) -> Array:
+        """Return the numbers of the lanes where a mask holds, ascending."""
+        ...
+
+    def first_least(
+        self, lists: Lists, lane: Sequence[Array], measure: Measure, tie: Callable[[Array], Array]
+    ) -> Array:
+        """Return for every lane the first item of its list that is least.
+
+        Items count as equally small if they differ by at most `tie(least)`.
+        """
+        ...
+
+    def narrowed(self, lists: Lists, lane: Sequence[Array], within: Measure) -> Lists:
+        """Return the lists of the items for which `within(item, *lane)` holds, in order."""
+        ...
+
+    def scattered(self, size: int, fill: float | int, place: Array, value: Array, active: Array) -> Array:
+        """Return an array of `size` with the active lanes' values at their places, `fill` elsewhere; floats or integers
+        by the type of `fill`.
+        """
+        ...
+
+    def settled(self, *arrays: Array) -> None:
+        """Compute arrays that were only described so far."""
         ...
