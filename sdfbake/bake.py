@@ -206,7 +206,7 @@ def bake(
         face=samples.face if "faces" in options.modes else None,
         surface=FaceTable.of(mesh) if "faces" in options.modes else None,
         layers=layers,
-        error=brick_errors(bricks, samples.distance, samples.centre, lattice.spacing),
+        error=brick_errors(xp, bricks, samples.distance, samples.centre, lattice.spacing),
     )
 
 

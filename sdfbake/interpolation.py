@@ -1,20 +1,18 @@
 """How well kernels interpolate a grid: its error bar, brick by brick.
 
 In: signed distances in bricks, and exact ones at the centres of some cells with surface. Out: per brick and kernel the
-greatest difference. At a centre every kernel is one filter of six samples per axis, so three small matrix products per
-brick evaluate all its centres.
+greatest difference. At its centre every kernel is one filter of six samples per axis.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from sdfbake.bricks import SIDE, Bricks
+from sdfbake.engine import Array, Engine
 from sdfbake.grid import KERNELS
-
-_HALO = 2  # samples before the first of a brick that a centre in it needs; and after the last
-_WIDE = SIDE + 2 * _HALO
-_EVERY = 2  # the cells whose first sample has even indices
-_BRICKS_AT_ONCE = 1024
 
 # Taps -2 to 3 of a cell for its centre: Galim 2018, eq. 9; eq. 21 with tension 1/2; and the cubic B-spline's
 # (1, 23, 23, 1) / 48 after its prefilter (-1, 8, -1) / 6.
@@ -23,15 +21,22 @@ TAPS = {
     "catmull-rom": np.array([0, -1, 9, 9, -1, 0]) / 16,
     "bspline": np.convolve([1, 23, 23, 1], [-1, 8, -1]) / 288,
 }
+_WIDTH = 6
 
 
 def brick_errors(
-    bricks: Bricks, distance: Float[np.ndarray, "k 8 8 8"], centre: Float[np.ndarray, "k 4 4 4"], spacing: float
+    xp: Engine,
+    bricks: Bricks,
+    distance: Float[np.ndarray, "k 8 8 8"],
+    centre: Float[np.ndarray, "k 4 4 4"],
+    spacing: float,
 ) -> Float[np.ndarray, "k 3"]:
     """Compare interpolated with exact distances.
 
     Parameters
     ----------
+    xp
+        The engine.
     bricks, distance
         The grid; world units.
     centre
@@ -46,39 +51,42 @@ def brick_errors(
         Voxels, float32, one column for each of `KERNELS`; 0 where nothing was compared. Magnitudes are compared.
     """
     error = np.zeros((len(bricks), len(KERNELS)), np.float32)
-    some = np.flatnonzero(~np.isnan(centre).all(axis=(1, 2, 3)))
-    for start in range(0, len(some), _BRICKS_AT_ONCE):
-        slots = some[start : start + _BRICKS_AT_ONCE]
-        wide, exact = _widened(bricks, distance, slots), np.abs(centre[slots])
-        for column, name in enumerate(KERNELS):
-            off = np.abs(np.abs(_centres(wide, TAPS[name])) - exact)
-            error[slots, column] = np.nan_to_num(off, nan=0.0).max(axis=(1, 2, 3)) / spacing
+    slot, *half = np.nonzero(~np.isnan(centre))
+    if len(slot) == 0:
+        return error
+    first = bricks.index[slot] * SIDE + 2 * np.stack(half, axis=-1).astype(np.int32)
+    found = xp.run(_program(xp, bricks, distance), list(first.T))
+    exact = np.abs(centre[(slot, *half)])
+    starts = np.flatnonzero(np.diff(slot, prepend=-1))
+    for column, name in enumerate(KERNELS):
+        off = np.abs(np.abs(found[name]) - exact) / spacing
+        error[slot[starts], column] = np.maximum.reduceat(off, starts)
     return error
 
 
-def _centres(wide: Float[np.ndarray, "b 12 12 12"], taps: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "b 4 4 4"]:
-    """Interpolate the centres of a widened brick's even cells."""
-    filters = np.zeros((_WIDE, SIDE // _EVERY), np.float32)
-    for cell in range(SIDE // _EVERY):
-        filters[_EVERY * cell : _EVERY * cell + 6, cell] = taps
-    for _ in range(3):  # each time the last axis is filtered and becomes the first after the bricks
-        wide = np.moveaxis(wide @ filters, -1, 1)
-    return wide
+def _program(xp: Engine, bricks: Bricks, distance: Float[np.ndarray, "k 8 8 8"]) -> Callable[..., dict[str, Array]]:
+    """Return a program from the first samples of cells to what every kernel makes of the centre."""
+    slots, samples = xp.table(bricks.slot), xp.table(distance)
+    weights = [xp.table(TAPS[name]) for name in KERNELS]
+    counts = [xp.uniform(int(n)) for n in bricks.slot.shape]
 
+    def sample(xp: Engine, x: Array, y: Array, z: Array) -> Array:
+        slot = xp.gather(slots, ((x >> 3) * counts[1] + (y >> 3)) * counts[2] + (z >> 3), True)
+        place = ((slot * SIDE + (x & 7)) * SIDE + (y & 7)) * SIDE + (z & 7)
+        return xp.gather(samples, place, slot >= 0)
 
-def _widened(
-    bricks: Bricks, distance: Float[np.ndarray, "k 8 8 8"], slots: Int[np.ndarray, " b"]
-) -> Float[np.ndarray, "b 12 12 12"]:
-    """Return bricks with two more samples on every side; NaN where there is no brick."""
-    wide = np.full((len(slots), _WIDE, _WIDE, _WIDE), np.nan, np.float32)
-    table = np.pad(bricks.slot, 1, constant_values=-1)
-    # Where a neighbour's samples come from, and where they go.
-    cuts = {-1: (slice(SIDE - _HALO, SIDE), slice(0, _HALO)), 0: (slice(0, SIDE), slice(_HALO, _HALO + SIDE)),
-            1: (slice(0, _HALO), slice(_HALO + SIDE, _WIDE))}  # fmt: skip
-    for step in np.ndindex(3, 3, 3):
-        side = np.array(step) - 1
-        near = table[tuple((bricks.index[slots] + 1 + side).T)]
-        there = np.flatnonzero(near >= 0)
-        source, goal = zip(*(cuts[int(s)] for s in side), strict=True)
-        wide[(there, *goal)] = distance[(near[there], *source)]
-    return wide
+    def program(xp: Engine, *first: Array) -> dict[str, Array]:
+        def body(state: tuple[Array, ...], at: Any) -> tuple[Array, ...]:
+            number, *sums = state
+            steps = (number // _WIDTH**2, number // _WIDTH % _WIDTH, number % _WIDTH)
+            value = sample(xp, *(coordinate + step - 2 for coordinate, step in zip(at, steps, strict=True)))
+            for n, table in enumerate(weights):
+                a, b, c = (xp.gather(table, step, True) for step in steps)
+                sums[n] = sums[n] + value * (a * b * c)
+            return number + 1, *sums
+
+        begin = (xp.full(first[0], 0), *(xp.full(first[0], 0.0) for _ in KERNELS))
+        _, *sums = xp.while_loop(lambda state: state[0] < _WIDTH**3, body, begin, first)
+        return dict(zip(KERNELS, sums, strict=True))
+
+    return program

@@ -86,6 +86,7 @@ def render(
         "engine": choice.engine.name,
         "precision": choice.engine.precision,
         "engine_reason": choice.reason,
+        "uv_mode": stage.plan.uv_mode,
         "seconds": {"prepare": ready - start, "trace": done - ready, "total": time.perf_counter() - start},
         "plan": stage.plan.record(),
     }
@@ -112,6 +113,8 @@ def _table(made: Plan) -> Table:
     table = Table("what", "", "why", title="plan")
     orders = ["nothing" if order is None else ("value", "gradient", "Hessian")[order] for order in made.orders]
     table.add_row("jets", ", ".join(orders), "per hit of a path")
+    if made.uv_mode is not None:
+        table.add_row("texture coordinates", made.uv_mode, "how they are known")
     table.add_row("channels read", ", ".join(made.channels), "of the asset")
     table.add_row("outputs", ", ".join(made.outputs), "asked for")
     for omission in made.left_out:

@@ -94,8 +94,16 @@ class Field(Protocol):
         """Signed distance at a place: value, gradient from order 1, Hessian from order 2."""
         ...
 
-    def uv_at(self, xp: Engine, spot: Spot) -> Mapped:
-        """Texture coordinates at a place."""
+    @property
+    def uv_mode(self) -> str | None:
+        """How texture coordinates are known: one of `sdfbake.metadata.MODES`, or "exact"; None if they are not."""
+        ...
+
+    def uv_at(self, xp: Engine, spot: Spot, n: Vector | None) -> Mapped:
+        """Texture coordinates at a place with that unit normal, which may be None where `uv_mode` asks for none.
+
+        `sdfrender.uvmode.BY_NORMAL` says which do.
+        """
         ...
 
     def part_at(self, xp: Engine, spot: Spot) -> Array:

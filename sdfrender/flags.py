@@ -10,7 +10,7 @@ class Flag(IntFlag):
     HORIZON = 2  #: the pixel's footprint crosses the horizon of the tangent plane
     TIR = 4  #: total internal reflection
     CAUSTIC = 8  #: the beam's cross-section vanished on the way
-    SEAM = 16  #: samples of several charts were interpolated
+    SEAM = 16  #: samples of several charts were interpolated, or some of the one chart were missing
     BAND = 32  #: outside the exact band
     EDGE = 64  #: the gradient's length is far from 1: an edge of the surface
     NONLINEAR = 128  #: the footprint differs from its neighbours'

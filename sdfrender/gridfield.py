@@ -1,31 +1,28 @@
 """A grid asset as a surface for rays.
 
-In: a `Grid`, a kernel, an engine. Out: a `Field`: certified first hits, jets (Galim 2018, eq. 13 to 19), interpolated
-texture coordinates (eq. 22, 23). Only what is asked for is prepared: no UV table unless texture coordinates are used.
+In: a `Grid`, a kernel, an engine. Out: a `Field`: certified first hits, jets (Galim 2018, eq. 13 to 19), texture
+coordinates by `facemap`, `layermap` or `gridmap`. Only what is asked for is prepared: none of them unless it is used.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from threading import Lock
 
 import numpy as np
 from jaxtyping import Float, Integer
 
-from sdfbake.complaint import BadInput
 from sdfbake.engine import Array, Choice, Engine, choose
 from sdfbake.grid import Grid
 from sdfrender.cell import tolerance
+from sdfrender.facemap import FaceMap
 from sdfrender.field import Jet, Mapped, Spot
+from sdfrender.gridmap import GridMap
+from sdfrender.interpolation import contract
 from sdfrender.kernels import Kernel, kernel
-from sdfrender.march import SIDE, Found, Tables, base_of, brick_of, cell_of, march, place_in, stencil
-from sdfrender.stencils import INCOMPLETE, FloatType, channel_coefficients, mixed_cells, stencils
+from sdfrender.layermap import LayerMap
+from sdfrender.march import SIDE, Found, Tables, base_of, brick_of, cell_of, march, place_in, sample, stencil
+from sdfrender.optics import normal
+from sdfrender.stencils import INCOMPLETE, FloatType, stencils
+from sdfrender.uvmode import AUTO, BY_NORMAL, choose_mode, stored_in
 from sdfrender.vector import Symmetric, Vector
-
-# Which derivative of each axis' weights makes which entry of a jet.
-_ORDERS = {
-    0: ((0, 0, 0),),
-    1: ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    2: ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (1, 0, 1), (0, 1, 1)),
-}
 
 
 class GridField:
@@ -39,9 +36,13 @@ class GridField:
         `bspline`, `catmull-rom` or `linear`, or a `Kernel`.
     engine, precision
         As for `sdfbake.engine.choose`.
+    uv_mode
+        Which texture coordinates to read, one of `sdfbake.metadata.MODES`; None for the most exact that the grid has.
 
     Attributes
     ----------
+    uv_mode
+        Which are read; None if the grid has none.
     tolerance
         Rounding bound of the interpolant along a ray, in the unit of the samples: a graze deeper than twice
         this is never missed (docs/tracing.md).
@@ -49,7 +50,7 @@ class GridField:
     Raises
     ------
     BadInput
-        For an unknown kernel, engine or precision.
+        For an unknown kernel, engine or precision, or texture coordinates that the grid does not have.
 
     Examples
     --------
@@ -65,18 +66,24 @@ class GridField:
     """
 
     def __init__(
-        self, grid: Grid, kernel: str | Kernel = "bspline", engine: str | Choice = "auto", precision: int | None = None
+        self,
+        grid: Grid,
+        kernel: str | Kernel = "bspline",
+        engine: str | Choice = "auto",
+        precision: int | None = None,
+        uv_mode: str | None = None,
     ) -> None:
         self.grid = grid
+        stored = stored_in(grid)
+        self.uv_mode = choose_mode(stored, uv_mode or AUTO, "the grid") if stored or uv_mode else None
         self.kernel = _kernel(kernel)
         self.choice = choose(engine, precision) if isinstance(engine, str) else engine
         self.engine: Engine = self.choice.engine
         self._tables, self.tolerance = _tables(grid, self.kernel, self.engine)
         self._far = self.engine.table(grid.bricks.far)
-        self._charts = _ids(grid.chart, self.engine)
         self._parts = _ids(grid.part, self.engine)
-        self._uv: tuple[Array, Array] | None = None
-        self._seams: Array | None = None
+        self._prepared: GridMap | FaceMap | LayerMap | None = None
+        self._preparing = Lock()
         middle = (np.array(grid.lattice.shape) - 1) / 2
         self.anchor: Float[np.ndarray, " 3"] = grid.lattice.to_world(middle)
         self._middle = [self.engine.uniform(float(m)) for m in middle]
@@ -173,14 +180,14 @@ class GridField:
         """Signed distance and derivatives at a place; see `Field.jet_at`."""
         found = Found(*spot.locator)
         taps = stencil(xp, self._tables, found.base, found.hit)
-        value, *rest = _contract(xp, self.kernel, taps, found.u, order)
+        value, *rest = contract(xp, self.kernel, taps, found.u, order)
         scale = self._per_voxel
         gradient = (rest[0] * scale, rest[1] * scale, rest[2] * scale) if order > 0 else None
         hessian = Symmetric(*(entry * (scale * scale) for entry in rest[3:])) if order > 1 else None
         return Jet(value, gradient, hessian)
 
     def uv(self, points: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Texture coordinates at points (Galim 2018, eq. 22, 23).
+        """Texture coordinates at points, by the field's `uv_mode`.
 
         Parameters
         ----------
@@ -194,7 +201,7 @@ class GridField:
         gradient
             (n, 2, 3) float64, per world unit.
         chart
-            (n,) int64, the chart of the nearest sample.
+            (n,) int64. All three are 0 where no brick is.
 
         Raises
         ------
@@ -204,7 +211,8 @@ class GridField:
 
         def program(xp: Engine, *p: Array) -> dict[str, Array]:
             spot = self.locate(xp, (p[0], p[1], p[2]), xp.full(p[0], True))
-            mapped = self.uv_at(xp, spot)
+            n = normal(xp, self.jet_at(xp, spot, 1)) if self.uv_mode in BY_NORMAL else None
+            mapped = self.uv_at(xp, spot, n)
             entries = [mapped.u, mapped.v, *mapped.du, *mapped.dv]
             named = {str(i): xp.where(spot.hit, entry, 0.0) for i, entry in enumerate(entries)}
             return {**named, "chart": mapped.chart}
@@ -214,54 +222,31 @@ class GridField:
         columns = np.stack([out[str(i)] for i in range(8)], axis=-1).astype(np.float64)
         return columns[:, :2], columns[:, 2:].reshape(-1, 2, 3), out["chart"].astype(np.int64)
 
-    def uv_at(self, xp: Engine, spot: Spot) -> Mapped:
+    def uv_at(self, xp: Engine, spot: Spot, n: Vector | None) -> Mapped:
         """Texture coordinates at a place; see `Field.uv_at`."""
         found = Found(*spot.locator)
-        found = found._replace(hit=found.hit & spot.hit)
-        parts = []
-        for table in self._uv_tables():
-            taps = stencil(xp, _with(self._tables, table), found.base, found.hit)
-            value, x, y, z = _contract(xp, self.kernel, taps, found.u, 1)
-            parts.append((value, (x * self._per_voxel, y * self._per_voxel, z * self._per_voxel)))
-        chart, seam = self._chart(xp, found)
-        return Mapped(parts[0][0], parts[1][0], parts[0][1], parts[1][1], chart, seam)
+        return self._map().uv_at(xp, found._replace(hit=found.hit & spot.hit), spot.p, n)
 
     def part_at(self, xp: Engine, spot: Spot) -> Array:
         """Part of the nearest sample; see `Field.part_at`."""
         if self._parts is None:
             return xp.full(spot.t, 0)
         found = Found(*spot.locator)
-        return self._sample(xp, self._parts, found, [u >= 0.5 for u in found.u])
+        return sample(xp, self._tables, self._parts, found.nearest(xp), found.hit)
 
-    def _chart(self, xp: Engine, found: Found) -> tuple[Array, Array]:
-        """Chart of the nearest sample, and whether samples of another chart went into the texture coordinates."""
-        if self._charts is None or self._seams is None:
-            return xp.full(found.t, 0), xp.full(found.t, False)
-        slot, local = brick_of(xp, self._tables, found.cell, found.hit)
-        seam = xp.gather(self._seams, slot * SIDE**3 + local, found.hit & (slot >= 0))
-        return self._sample(xp, self._charts, found, [u >= 0.5 for u in found.u]), (seam > 0) & found.hit
-
-    def _sample(self, xp: Engine, table: Array, found: Found, upper: Sequence[Array]) -> Array:
-        """Look up a per-sample channel at a corner of the cell."""
-        x, y, z = (c + xp.integer(up) for c, up in zip(found.cell, upper, strict=True))
-        slot, local = brick_of(xp, self._tables, (x, y, z), found.hit)
-        return xp.gather(table, slot * SIDE**3 + local, found.hit & (slot >= 0))
-
-    def _uv_tables(self) -> tuple[Array, Array]:
-        if self._uv is None:
-            if self.grid.uv is None:
-                raise BadInput("the grid has no texture coordinates: bake it with --uv-mode grid")
-            lattice, bricks = self.grid.lattice, self.grid.bricks
-            u, v = (
-                self.engine.table(
-                    channel_coefficients(self.grid.uv[..., c], bricks, lattice.shape, self.kernel, _kind(self.engine))
-                )
-                for c in (0, 1)
-            )
-            self._uv = (u, v)
-            if self.grid.chart is not None:
-                self._seams = self.engine.table(mixed_cells(self.grid.chart, bricks, lattice.shape, self.kernel))
-        return self._uv
+    def _map(self) -> GridMap | FaceMap | LayerMap:
+        """Prepare the texture coordinates, once, whichever thread comes first."""
+        with self._preparing:
+            if self._prepared is None:
+                mode = self.uv_mode or choose_mode((), AUTO, "the grid")
+                grid, tables, engine = self.grid, self._tables, self.engine
+                if mode == "faces":
+                    self._prepared = FaceMap.of(grid, tables, engine, self._per_voxel)
+                elif mode == "layers":
+                    self._prepared = LayerMap.of(grid, tables, engine, self._per_voxel)
+                else:
+                    self._prepared = GridMap.of(grid, tables, engine, _kind(engine), self._per_voxel)
+            return self._prepared
 
 
 def _kernel(wish: str | Kernel) -> Kernel:
@@ -293,50 +278,3 @@ def _tables(grid: Grid, kernel: Kernel, engine: Engine) -> tuple[Tables, float]:
         engine.uniform(bound),
     )
     return tables, bound
-
-
-def _with(tables: Tables, coefficients: Array) -> Tables:
-    """Return the same cells with another channel's coefficients."""
-    return Tables(tables.kernel, tables.slots, tables.cells, coefficients, tables.samples, tables.bricks, tables.bound)
-
-
-def _contract(xp: Engine, kernel: Kernel, taps: list[Array], u: Vector, order: int) -> list[Array]:
-    """Sum the taps with the weights and their derivatives, one axis after the other (Galim 2018, eq. 10, 14, 18)."""
-    n = kernel.taps
-    weights = [[_weights(xp, kernel, u[axis], o) for o in range(order + 1)] for axis in range(3)]
-    wanted = _ORDERS[order]
-    lines = sorted({(y, z) for _, y, z in wanted})
-    totals: dict[tuple[int, int, int], Array] = {}
-    for i in range(n):
-        plane: dict[tuple[int, int], Array] = {}
-        for j in range(n):
-            row = taps[(i * n + j) * n : (i * n + j + 1) * n]
-            along_z = [_sum(xp, row, weights[2][o]) for o in range(order + 1)]
-            for y, z in lines:
-                _add(xp, plane, (y, z), along_z[z], weights[1][y][j])
-        for x, y, z in wanted:
-            _add(xp, totals, (x, y, z), plane[y, z], weights[0][x][i])
-    return [totals[key] for key in wanted]
-
-
-def _add(xp: Engine, sums: dict[Any, Array], key: tuple[int, ...], value: Array, weight: Array) -> None:
-    """Accumulate into a caller's own dictionary."""
-    sums[key] = xp.fma(value, weight, sums[key]) if key in sums else value * weight
-
-
-def _sum(xp: Engine, values: list[Array], weights: list[Array]) -> Array:
-    total = values[0] * weights[0]
-    for value, weight in zip(values[1:], weights[1:], strict=True):
-        total = xp.fma(value, weight, total)
-    return total
-
-
-def _weights(xp: Engine, kernel: Kernel, u: Array, order: int) -> list[Array]:
-    """Evaluate every tap's weight, or a derivative of it, by Horner's rule."""
-    values = []
-    for row in kernel.derivative(order).tolist():
-        value = xp.full(u, float(row[-1]))
-        for coefficient in reversed(row[:-1]):
-            value = value * u + float(coefficient)
-        values.append(value)
-    return values

@@ -55,6 +55,10 @@ class Tables:
         """Coefficients of a brick per axis."""
         return SIDE - 1 + self.kernel.taps
 
+    def with_(self, coefficients: Array) -> "Tables":
+        """Return the same cells with another channel's coefficients."""
+        return Tables(self.kernel, self.slots, self.cells, coefficients, self.samples, self.bricks, self.bound)
+
 
 class Found(NamedTuple):
     """First hits: mask, ray parameter, cell, place in the cell (0 to 1), index of the cell's first coefficient."""
@@ -64,6 +68,11 @@ class Found(NamedTuple):
     cell: Cell
     u: Vector
     base: Array
+
+    def nearest(self, xp: Engine) -> Cell:
+        """Return the sample nearest to the place."""
+        x, y, z = (c + xp.integer(u >= 0.5) for c, u in zip(self.cell, self.u, strict=True))
+        return x, y, z
 
 
 class _Ray(NamedTuple):
@@ -101,6 +110,12 @@ def brick_of(xp: Engine, tables: Tables, cell: Cell, active: Array) -> tuple[Arr
     slot = xp.gather(tables.slots, (x * tables.bricks[1] + y) * tables.bricks[2] + z, active)
     a, b, c = (c & (SIDE - 1) for c in cell)
     return slot, (((a << SHIFT) | b) << SHIFT) | c
+
+
+def sample(xp: Engine, tables: Tables, channel: Array, at: Cell, active: Array) -> Array:
+    """Look up a channel at a sample; anything where not active or where its brick is absent."""
+    slot, local = brick_of(xp, tables, at, active)
+    return xp.gather(channel, slot * SIDE**3 + local, active & (slot >= 0))
 
 
 def base_of(xp: Engine, tables: Tables, cell: Cell, active: Array) -> Array:

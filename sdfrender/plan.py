@@ -1,14 +1,17 @@
 """What a scene needs, and what is left out.
 
-In: a scene with its outputs. Out: a frozen `Plan`: per hit of a path the order of the jet, whether differentials are
-carried, which channels of the asset are read. The render loop builds only what the plan names; nothing is switched off
-inside it.
+In: a scene with its outputs, and what its grid says of itself. Out: a frozen `Plan`: per hit of a path the order of
+the jet, whether differentials are carried, which channels of the asset are read. The render loop builds only what the
+plan names; nothing is switched off inside it.
 """
 
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from sdfbake.gridfile import describe
+from sdfbake.metadata import MODES
 from sdfrender.scene import Diffuse, Mirror, Normals, Scene
+from sdfrender.uvmode import AUTO, BY_NORMAL, CHANNELS, choose_mode
 
 FOOTPRINT_OUTPUTS = frozenset({"duv_dx", "duv_dy", "lod"})
 
@@ -36,6 +39,8 @@ class Plan:
         Whether ray differentials are carried.
     uv
         Whether texture coordinates are looked up.
+    uv_mode
+        How those are known, see `sdfrender.uvmode`; None where none are looked up.
     parts
         Whether the part of a hit matters.
     channels
@@ -48,6 +53,7 @@ class Plan:
     orders: tuple[int | None, ...]
     differentials: bool
     uv: bool
+    uv_mode: str | None
     parts: bool
     channels: tuple[str, ...]
     left_out: tuple[Omission, ...]
@@ -57,8 +63,22 @@ class Plan:
         return asdict(self)
 
 
-def make_plan(scene: Scene) -> Plan:
-    """Derive the plan of a scene."""
+def make_plan(scene: Scene, stored: tuple[str, ...] | None = None) -> Plan:
+    """Derive the plan of a scene.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    stored
+        How the surface knows texture coordinates, where it is not the scene's grid. By default the grid's file is
+        asked, if any are needed; one that does not exist yet is taken to have whatever is wished for.
+
+    Raises
+    ------
+    BadInput
+        If the grid has no such texture coordinates as the scene needs.
+    """
     outputs: set[str] = set(scene.film.outputs)
     materials = scene.assets[0].materials
     coloured = "rgb" in outputs
@@ -71,11 +91,29 @@ def make_plan(scene: Scene) -> Plan:
     beyond_first = coloured or bool(outputs & (FOOTPRINT_OUTPUTS | {"uv", "flags"}))
     hits = 1 + (scene.trace.bounces if mirrors and beyond_first else 0)
     parts = len(materials) > 1 or materials[0].part != "*" or "part" in outputs
-    normals = coloured and any(isinstance(material, Normals) for material in materials)
+    mode, others = _uv_mode(scene, stored) if uv else (None, ())
+    normals = mode in BY_NORMAL or (coloured and any(isinstance(material, Normals) for material in materials))
     orders = tuple(_order(hit, hits, differentials, normals, outputs) for hit in range(hits))
-    channels = ["distance", *(["uv", "chart"] if uv else []), *(["part"] if parts else [])]
+    channels = ["distance", *(CHANNELS[mode] if mode else ()), *(["part"] if parts else [])]
+    unread = tuple(
+        Omission(f"texture coordinates as {other}", f"they are read as {mode}, {_why(scene)}") for other in others
+    )
     omissions = _omissions(scene, differentials, uv, parts, orders, mirrors)
-    return Plan(scene.film.outputs, orders, differentials, uv, parts, tuple(channels), omissions)
+    return Plan(scene.film.outputs, orders, differentials, uv, mode, parts, tuple(channels), omissions + unread)
+
+
+def _uv_mode(scene: Scene, stored: tuple[str, ...] | None) -> tuple[str, tuple[str, ...]]:
+    """Return the representation that is read, and those of the grid that are not."""
+    if stored is not None:
+        return choose_mode(stored, AUTO, "the surface"), ()
+    asset = scene.assets[0]
+    stored = describe(asset.grid).uv_modes if asset.grid.is_file() else MODES
+    mode = choose_mode(stored, asset.uv, str(asset.grid))
+    return mode, tuple(other for other in MODES if other in stored and other != mode and asset.grid.is_file())
+
+
+def _why(scene: Scene) -> str:
+    return "the most exact that the grid has" if scene.assets[0].uv == AUTO else "as the scene asks"
 
 
 def _order(hit: int, hits: int, differentials: bool, normals: bool, outputs: set[str]) -> int | None:

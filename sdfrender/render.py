@@ -27,6 +27,7 @@ from sdfrender.rays import Beam
 from sdfrender.scene import Diffuse, Material, Mirror, Scene, load_scene
 from sdfrender.texture import Sampler, Texture
 from sdfrender.trace import hit_flags, mirrored, transferred
+from sdfrender.uvmode import BY_NORMAL
 from sdfrender.vector import Vector, select, zero
 
 
@@ -90,9 +91,11 @@ def prepare(
 ) -> Stage:
     """Load what the plan of a scene needs, and nothing else; see `render`."""
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    plan = make_plan(scene)
     if field is None:
+        plan = make_plan(scene)
         field = _load_field(scene, plan, engine, precision)
+    else:
+        plan = make_plan(scene, (field.uv_mode,) if field.uv_mode else ())
     materials = _by_part(scene, field.part_names)
     names = {m.texture for m in materials if isinstance(m, Diffuse) and m.texture} if plan.uv else set()
     samplers = {}
@@ -174,7 +177,8 @@ def _follow(xp: Engine, stage: Stage, beam: Beam, outputs: tuple[str, ...], per_
             out |= _first_hit(xp, stage, spot, jet, part, outputs)
         looking = _is_mirror(xp, stage, part)
         ends = active & ~looking
-        mapped = field.uv_at(xp, spot._replace(hit=spot.hit & ends)) if plan.uv else None
+        n = optics.normal(xp, jet) if plan.uv_mode in BY_NORMAL else None
+        mapped = field.uv_at(xp, spot._replace(hit=spot.hit & ends), n) if plan.uv else None
         shown = _shaded(xp, stage, beam, spot, jet, part, mapped)
         rgb = _accumulated(xp, rgb, weight, shown, ends)
         if mapped is not None:
@@ -319,11 +323,8 @@ def _wanted(outputs: tuple[str, ...]) -> set[str]:
 
 def _load_field(scene: Scene, plan: Plan, engine: str, precision: int | None) -> GridField:
     choice = choose(engine, precision)
-    path = scene.assets[0].grid
-    grid = Grid.load(path, channels=set(plan.channels))
-    if plan.uv and grid.uv is None:
-        raise BadInput(f"{path} has no texture coordinates, which this scene needs: bake it with --uv-mode grid")
-    return GridField(grid, kernel(scene.trace.kernel, scene.trace.tension), choice)
+    grid = Grid.load(scene.assets[0].grid, channels=set(plan.channels))
+    return GridField(grid, kernel(scene.trace.kernel, scene.trace.tension), choice, uv_mode=plan.uv_mode)
 
 
 def _by_part(scene: Scene, parts: tuple[str, ...]) -> tuple[Material, ...]:

@@ -101,9 +101,13 @@ Material = Annotated[Mirror | Diffuse | Normals, Field(discriminator="type")]
 
 
 class Asset(_Strict):
-    """A grid and what its parts are made of; `part = "*"` stands for all parts without a material of their own."""
+    """A grid and what its parts are made of; `part = "*"` stands for all parts without a material of their own.
+
+    `uv` says which of the grid's texture coordinates are read: "auto" takes the most exact.
+    """
 
     grid: Path
+    uv: Literal["auto", "faces", "layers", "grid"] = "auto"
     materials: tuple[Material, ...] = Field(min_length=1)
 
 

@@ -172,8 +172,8 @@ def footprint(field: Field, hits: Hits, rays_: Rays, *, size: tuple[int, int] = 
     """
 
     def program(xp: Engine, *c: Array) -> dict[str, Array]:
-        incoming, hit = beam(c[:18]), c[18] > 0
-        mapped = field.uv_at(xp, field.locate(xp, incoming.p, hit))
+        incoming, hit, n = beam(c[:18]), c[18] > 0, (c[19], c[20], c[21])
+        mapped = field.uv_at(xp, field.locate(xp, incoming.p, hit), n)
         (ux, vx), (uy, vy) = derivatives(mapped, incoming)
         texels = (xp.uniform(float(size[0])), xp.uniform(float(size[1])))
         lod = level_of_detail(xp, (ux, vx), (uy, vy), texels)
@@ -184,7 +184,7 @@ def footprint(field: Field, hits: Hits, rays_: Rays, *, size: tuple[int, int] = 
 
     columns = rays_.columns()
     columns[:3] = (rays_.p - field.anchor).T
-    out = field.engine.run(program, [*columns, hits.hit.astype(np.int32)])
+    out = field.engine.run(program, [*columns, hits.hit.astype(np.int32), *hits.n.T])
     uv, dx, dy = (np.stack([out[a], out[b]], -1).astype(float) for a, b in (("u", "v"), ("ux", "vx"), ("uy", "vy")))
     flags = hits.flags | np.where(out["seam"] > 0, Flag.SEAM, 0)
     chart = np.where(hits.hit, out["chart"], -1)

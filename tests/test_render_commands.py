@@ -45,6 +45,7 @@ def test_render_as_a_process(folder, tmp_path):
     assert (
         record["engine"] == "numpy" and record["precision"] == 64 and record["plan"]["outputs"] == ["rgb", "Z", "lod"]
     )
+    assert record["uv_mode"] == record["plan"]["uv_mode"] == "grid"
     assert done.stderr == ""
     arrays = read_exr(exr)
     assert set(arrays) == {"rgb", "Z", "lod"} and arrays["rgb"].shape == (12, 20, 3)

@@ -11,6 +11,7 @@ from datasets_synthetic import ExactShape
 from sdfbake.engine import Array, Engine
 from sdfbake.engine.numpy import NumpyEngine
 from sdfrender.field import Jet, Mapped, Spot
+from sdfrender.uvmode import EXACT
 from sdfrender.vector import Symmetric, Vector
 
 
@@ -28,6 +29,7 @@ class ShapeField:
         self.engine: Engine = NumpyEngine(64)
         self.anchor: Float[np.ndarray, " 3"] = np.zeros(3)
         self.is_distance = True
+        self.uv_mode = EXACT
 
     @property
     def bounds(self) -> Float[np.ndarray, "2 3"]:
@@ -65,7 +67,7 @@ class ShapeField:
         entries = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
         return Jet(value, gradient, Symmetric(*(h[:, i, j] for i, j in entries)))
 
-    def uv_at(self, xp: Engine, spot: Spot) -> Mapped:
+    def uv_at(self, xp: Engine, spot: Spot, n: Vector | None) -> Mapped:
         """Texture coordinates and their gradients in the surface."""
         rows, points = self._asked(spot)
         uv = _spread(self.shape.uv(points), rows, spot)
