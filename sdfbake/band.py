@@ -5,7 +5,7 @@ Positions are lattice indices, which are exact; faces are in voxels. Cubes of 2^
 runs through it in double precision, and what follows from the winner is computed from its corners anew.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -13,9 +13,9 @@ from jaxtyping import Float, Int
 
 from sdfbake import triangle
 from sdfbake.bricks import SIDE
-from sdfbake.candidates import Cubes, Faces, children, records, square, taken
+from sdfbake.candidates import Cubes, Faces, children, offset, record, records, squares, taken
 from sdfbake.engine import Array, Engine
-from sdfbake.engine.protocol import Lists
+from sdfbake.engine.protocol import Lists, Measures
 from sdfbake.sign import Pseudonormals
 from sdfbake.topology import corners
 from sdfbake.triangle import Point, dot, minus
@@ -171,7 +171,7 @@ def _fill(xp: Engine, target: Target, bricks: Cubes, reach: float, spacing: floa
 def _leaves(xp: Engine, target: Target, bricks: Cubes, reach: float) -> tuple[Cubes | None, Array]:
     """Go down to cubes of 2^3 samples; also return the brick of each."""
     cubes: Cubes | None = bricks
-    owner = bricks.parent
+    owner = xp.lanes(len(bricks.parent))
     while cubes is not None and cubes.side > _LEAF:
         cubes = children(xp.at(32), target.coarse, cubes, target.shape, reach + target.inset)
         owner = owner if cubes is None else xp.gather(owner, cubes.parent, True)
@@ -185,17 +185,19 @@ def _samples(
     cubes, owner = leaves
     reach, spacing = scale
     fine, size = xp.at(64), count * SIDE**3
+    # The lane is the leaf, and looks a face up once for its eight samples.
+    first = [fine.real(c * _LEAF) for c in cubes.at]
+    winner = xp.interleaved(_winners(fine, target, cubes.lists, first))
     lane = xp.lanes(len(cubes.parent) * _LEAF**3)
     cube = lane >> 3
-    x, y, z = (xp.gather(cubes.at[k], cube, True) * 2 + ((lane >> (2 - k)) & 1) for k in range(3))
-    lists = Lists(xp.gather(cubes.lists.start, cube, True), xp.gather(cubes.lists.count, cube, True), cubes.lists.items)
-    face, distance = _winner(fine, target, lists, (fine.real(x), fine.real(y), fine.real(z)))
+    x, y, z = (xp.gather(cubes.at[k], cube, True) * _LEAF + ((lane >> (2 - k)) & 1) for k in range(3))
+    distance = _signed(fine, target, winner, (fine.real(x), fine.real(y), fine.real(z)))
     brick, most, unit = xp.gather(owner, cube, True), fine.uniform(reach), fine.uniform(spacing)
     nx, ny, nz = (xp.uniform(n) for n in target.shape)
     inside = (x < nx) & (y < ny) & (z < nz)
     known = inside & (xp.abs(distance) <= most)
     place, node = _within(brick, (x, y, z), SIDE, 0), _within(brick, (x, y, z), _NODES, 1)
-    faces = xp.scattered(size, -1, place, face, known)
+    faces = xp.scattered(size, -1, place, winner, known)
     if target.normals is None:  # what lies deeper than the reach in a shell is known to do so
         known, distance = inside & (distance <= most), xp.maximum(distance, -most)
     values = xp.at(32).scattered(size, reach * spacing, place, distance * unit, known)
@@ -217,7 +219,8 @@ def _centres(xp: Engine, target: Target, leaves: tuple[Cubes, Array], count: int
     at = [xp.gather(cubes.at[k], some, True) for k in range(3)]
     p = (fine.real(at[0] * 2) + 0.5, fine.real(at[1] * 2) + 0.5, fine.real(at[2] * 2) + 0.5)
     lists = Lists(xp.gather(cubes.lists.start, some, True), xp.gather(cubes.lists.count, some, True), cubes.lists.items)
-    _, exact = _winner(fine, target, lists, p)
+    (winner,) = fine.first_least(lists, p, _from_point(fine, target), _tie(fine, target))
+    exact = _signed(fine, target, winner, p)
     node = _within(xp.gather(owner, some, True), (at[0], at[1], at[2]), _NODES, 0)
     return xp.at(32).scattered(count * _NODES**3, float("nan"), node, exact * fine.uniform(spacing), some >= 0)
 
@@ -228,19 +231,46 @@ def _within(brick: Array, at: Point, side: int, shift: int) -> Array:
     return ((brick * side + x) * side + y) * side + z
 
 
-def _winner(xp: Engine, target: Target, lists: Lists, p: Point) -> tuple[Array, Array]:
-    """Return the lowest closest face and the distance from it, signed by the pseudonormal of the closest feature."""
+def _winners(xp: Engine, target: Target, lists: Lists, first: list[Array]) -> tuple[Array, ...]:
+    """Return the lowest closest face of every sample of leaves."""
+    one = xp.uniform(1.0)
 
-    def distance(face: Array, *at: Array) -> Array:
-        return xp.sqrt(square(xp, target.fine.table, face, (at[0], at[1], at[2])))
+    def distances(*p: Array) -> Callable[[Array], tuple[Array, ...]]:
+        def of_face(face: Array) -> tuple[Array, ...]:
+            of_corners = squares(xp, record(xp, target.fine.table, face), (p[0], p[1], p[2]), one)
+            return tuple(xp.sqrt(square) for square in of_corners)
 
+        return of_face
+
+    return xp.first_least(lists, first, distances, _tie(xp, target))
+
+
+def _from_point(xp: Engine, target: Target) -> Measures:
+    """Return the distance of faces from single points."""
+
+    def distance(*p: Array) -> Callable[[Array], tuple[Array, ...]]:
+        def of_face(face: Array) -> tuple[Array, ...]:
+            gap = offset(xp, record(xp, target.fine.table, face), (p[0], p[1], p[2]))
+            return (xp.sqrt(dot(gap, gap)),)
+
+        return of_face
+
+    return distance
+
+
+def _tie(xp: Engine, target: Target) -> Callable[[Array], Array]:
+    """Return by how much distances may differ and be the same."""
     tie = xp.uniform(target.tie)
-    face = xp.first_least(lists, p, distance, lambda least: least * _TIE_SHARE + tie)
+    return lambda least: least * _TIE_SHARE + tie
+
+
+def _signed(xp: Engine, target: Target, face: Array, p: Point) -> Array:
+    """Return distances from given faces, signed by the pseudonormal of the closest feature."""
     corner = [xp.gather(target.corners, face * 3 + k, True) for k in range(3)]
     a, b, c = (xp.rows(target.vertices, vertex, True)[:3] for vertex in corner)
     at = triangle.nearest(xp, p, (a, b, c))
     if target.normals is None:
-        return face, at.distance - xp.uniform(target.inset)
+        return at.distance - xp.uniform(target.inset)
     row = xp.gather(target.normals.row, face * 7 + at.feature, True)
     rows = xp.at(32).rows(target.normals.table, row, True)
     normal = (xp.real(rows[0]), xp.real(rows[1]), xp.real(rows[2]))
@@ -248,8 +278,8 @@ def _winner(xp: Engine, target: Target, lists: Lists, p: Point) -> tuple[Array, 
     use_b, use_c = _starts_at(xp, at.feature, 1), _starts_at(xp, at.feature, 2)
     x, y, z = (xp.where(use_b, b[k], xp.where(use_c, c[k], a[k])) for k in range(3))
     # What is on the surface but for rounding is outside, on every engine.
-    negative = (dot(minus(p, (x, y, z)), normal) < 0) & (at.distance > tie)
-    return face, xp.where(negative, -at.distance, at.distance)
+    negative = (dot(minus(p, (x, y, z)), normal) < 0) & (at.distance > xp.uniform(target.tie))
+    return xp.where(negative, -at.distance, at.distance)
 
 
 def _starts_at(xp: Engine, feature: Array, k: int) -> Array:

@@ -5,7 +5,8 @@ of all faces that may be closest to one of its samples. All cubes of a level are
 list down, and every child keeps what can still win there (`_may_win`) and is in reach.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from jaxtyping import Float, Int
 
 from sdfbake.bricks import SIDE, counts
 from sdfbake.engine import Array, Engine
-from sdfbake.engine.protocol import Lists
+from sdfbake.engine.protocol import Lists, Measures
 from sdfbake.topology import cross
 from sdfbake.triangle import Point, dot, minus
 
@@ -98,12 +99,28 @@ def _turned(p: Float[np.ndarray, "3 3 f"], longest: Int[np.ndarray, " f"], k: in
     return corner
 
 
-def offset(xp: Engine, table: Array, face: Array, p: Point) -> Point:
+class Record(NamedTuple):
+    """A triangle as `Faces.table` has it."""
+
+    a: Point
+    bb: Array
+    b: Point
+    bc: Array
+    c: Point
+    cc: Array
+    over: tuple[Array, Array, Array, Array]
+
+
+def record(xp: Engine, table: Array, face: Array) -> Record:
+    """Look up triangles."""
+    (ax, ay, az, bb), (bx, by, bz, bc), (cx, cy, cz, cc), over = (xp.rows(table, face * 4 + k, True) for k in range(4))
+    return Record((ax, ay, az), bb, (bx, by, bz), bc, (cx, cy, cz), cc, over)
+
+
+def offset(xp: Engine, triangle: Record, p: Point) -> Point:
     """Return the way from the closest point of triangles, of their edges or, if no edge is nearer, their interior."""
-    row = face * 4
-    rows = [xp.rows(table, row + k, True) for k in range(4)]
-    (ax, ay, az, bb), (bx, by, bz, bc), (cx, cy, cz, cc), (over_b, over_c, over_e, over_area) = rows
-    to, b, c = (p[0] - ax, p[1] - ay, p[2] - az), (bx, by, bz), (cx, cy, cz)
+    to, b, c = minus(p, triangle.a), triangle.b, triangle.c
+    bb, bc, cc, (over_b, over_c, over_e, over_area) = triangle.bb, triangle.bc, triangle.cc, triangle.over
     on_b, on_c = dot(to, b), dot(to, c)
     best = _along(xp, to, b, on_b * over_b)
     best = _nearer(xp, best, _along(xp, to, c, on_c * over_c))
@@ -115,10 +132,15 @@ def offset(xp: Engine, table: Array, face: Array, p: Point) -> Point:
     return _chosen(xp, inside, foot, best)
 
 
-def square(xp: Engine, table: Array, face: Array, p: Point) -> Array:
-    """Return squared distances from triangles."""
-    gap = offset(xp, table, face, p)
-    return dot(gap, gap)
+def squares(xp: Engine, triangle: Record, corner: Point, side: Array) -> tuple[Array, ...]:
+    """Return the squared distances of the corners of cubes from triangles, in C order."""
+    gaps = (offset(xp, triangle, p) for p in _cube(corner, side))
+    return tuple(dot(gap, gap) for gap in gaps)
+
+
+def _cube(corner: Point, side: Array) -> Iterator[Point]:
+    ends = [(c, c + side) for c in corner]
+    return product(*ends)
 
 
 def _along(xp: Engine, to: Point, edge: Point, t: Array) -> Point:
@@ -178,49 +200,67 @@ def children(xp: Engine, faces: Faces, cubes: Cubes, shape: tuple[int, int, int]
     x, y, z = (at[k] * 2 + ((lane >> (2 - k)) & 1) for k in range(3))
     centre = (xp.real(x) * size + half, xp.real(y) * size + half, xp.real(z) * size + half)
 
-    def measure(face: Array, *p: Array) -> Array:
-        return square(xp, faces.table, face, (p[0], p[1], p[2]))
+    def measure(*corner: Array) -> Callable[[Array], tuple[Array, ...]]:
+        return lambda face: squares(xp, record(xp, faces.table, face), (corner[0], corner[1], corner[2]), size)
 
-    inherited = _inherited(xp, cubes.lists, parent)
-    nearest = xp.first_least(inherited, centre, measure, lambda least: 0.0)
-    gap = offset(xp, faces.table, nearest, centre)
+    # The lane is the parent, and looks a face up once for its eight children.
+    corner = [*(xp.real(c) * (2 * size) + half for c in cubes.at), xp.lanes(len(cubes.parent)) * 8]
+    nearest = xp.interleaved(xp.first_least(cubes.lists, corner, measure, lambda least: 0.0))
+    gap = offset(xp, record(xp, faces.table, nearest), centre)
     d = xp.sqrt(dot(gap, gap))
-    xp.settled(x, y, z, d, *gap)  # asked for twice below
     most = xp.uniform(reach + radius + faces.slack)
     last = [xp.uniform((n - 1) // side) for n in shape]
-    kept = xp.kept((d <= most) & (x <= last[0]) & (y <= last[1]) & (z <= last[2]))
+    inside = (d <= most) & (x <= last[0]) & (y <= last[1]) & (z <= last[2])
+    xp.settled(x, y, z, parent, d, inside, *gap)
+    kept = xp.kept(inside)
     if len(kept) == 0:
         return None
-    x, y, z, parent, *lane = _pick(xp, (x, y, z, parent, *centre, d, *gap), kept)
-    inherited = _inherited(xp, cubes.lists, parent)
-    xp.settled(x, y, z, parent, lane[3])
-    lists = xp.narrowed(inherited, lane, _may_win(xp, faces, radius, most))
-    return Cubes(side, (x, y, z), lists, parent, lane[3])
+    lists = xp.narrowed(cubes.lists, corner, _may_win(xp, faces, Known(inside, d, gap), (radius, most, size)))
+    return taken(xp, Cubes(side, (x, y, z), lists, parent, d), kept)
 
 
-def _inherited(xp: Engine, lists: Lists, parent: Array) -> Lists:
-    """Return the lists of some parents."""
-    return Lists(xp.gather(lists.start, parent, True), xp.gather(lists.count, parent, True), lists.items)
+class Known(NamedTuple):
+    """What is known of cubes: whether they are kept, least distance of the centre, way from its closest point."""
+
+    kept: Array
+    distance: Array
+    away: Point
 
 
-def _may_win(xp: Engine, faces: Faces, radius: float, most: Array) -> Callable[..., Array]:
-    """Return the test of a face against what is known of a cube: centre, least distance, way from the closest point.
+def _may_win(xp: Engine, faces: Faces, known: Known, scale: tuple[float, Array, Array]) -> Measures:
+    """Return the test of a face against the eight children of a cube.
 
     A distance from a convex set is convex: with u the direction away from the face, it is at least d_f + u.e at a
     sample that lies e from the centre. The closest point q of the centre is at most d + v.e + |e|^2 / 2 d from there,
     with v the direction away from it. So the face can win only if d_f - d <= R |u - v| + R^2 / 2 d, and <= 2 R anyhow.
     """
+    radius, most, size = scale
     r, slack, least = xp.uniform(radius), xp.uniform(faces.slack), xp.uniform(1e-6)
 
-    def within(face: Array, *known: Array) -> Array:
-        d, away = known[3], (known[4], known[5], known[6])
-        gap = offset(xp, faces.table, face, (known[0], known[1], known[2]))
-        of_face = xp.sqrt(dot(gap, gap))
-        over, over_face = 1.0 / xp.maximum(d, least), 1.0 / xp.maximum(of_face, least)
-        turn = tuple(gap[k] * over_face - away[k] * over for k in range(3))
-        turned = xp.sqrt(dot(turn, turn)) + slack * (over + over_face)
-        margin = xp.minimum(2 * r, r * (turned + 0.5 * r * over))
-        return of_face <= xp.minimum(d + margin + 2 * slack, most)
+    def of_child(child: Array) -> Callable[[Point], Array]:
+        kept, d, *away = _pick(xp, (known.kept, known.distance, *known.away), child)
+        over = 1.0 / xp.maximum(d, least)
+        vx, vy, vz = (w * over for w in away)
+        bend, limit = 0.5 * r * r * over + slack * (r * over), d + 2 * slack
+
+        def passes(gap: Point) -> Array:
+            of_face = xp.sqrt(dot(gap, gap))
+            over_face = 1.0 / xp.maximum(of_face, least)
+            turn = minus((gap[0] * over_face, gap[1] * over_face, gap[2] * over_face), (vx, vy, vz))
+            margin = xp.minimum(2 * r, r * (xp.sqrt(dot(turn, turn)) + slack * over_face) + bend)
+            return (of_face <= xp.minimum(limit + margin, most)) & kept
+
+        return passes
+
+    def within(x: Array, y: Array, z: Array, first: Array) -> Callable[[Array], tuple[Array, ...]]:
+        tests = [of_child(first + k) for k in range(8)]
+
+        def masks(face: Array) -> tuple[Array, ...]:
+            triangle = record(xp, faces.table, face)
+            cubes = zip(tests, _cube((x, y, z), size), strict=True)
+            return tuple(passes(offset(xp, triangle, p)) for passes, p in cubes)
+
+        return masks
 
     return within
 
@@ -233,11 +273,10 @@ def ordered(xp: Engine, cubes: Cubes) -> Cubes:
 
 
 def taken(xp: Engine, cubes: Cubes, which: Array) -> Cubes:
-    """Return some of the cubes, as if they had no parents."""
-    x, y, z, start, count, distance = _pick(
-        xp, (*cubes.at, cubes.lists.start, cubes.lists.count, cubes.distance), which
+    """Return some of the cubes."""
+    x, y, z, start, count, parent, distance = _pick(
+        xp, (*cubes.at, cubes.lists.start, cubes.lists.count, cubes.parent, cubes.distance), which
     )
-    parent = xp.lanes(len(which))
     xp.settled(x, y, z, start, count, parent, distance)
     return Cubes(cubes.side, (x, y, z), Lists(start, count, cubes.lists.items), parent, distance)
 

@@ -67,7 +67,7 @@ def brick_errors(
 def _program(xp: Engine, bricks: Bricks, distance: Float[np.ndarray, "k 8 8 8"]) -> Callable[..., dict[str, Array]]:
     """Return a program from the first samples of cells to what every kernel makes of the centre."""
     slots, samples = xp.table(bricks.slot), xp.table(distance)
-    weights = [xp.table(TAPS[name]) for name in KERNELS]
+    weights = [xp.table(np.einsum("i,j,k", *[TAPS[name]] * 3)) for name in KERNELS]
     counts = [xp.uniform(int(n)) for n in bricks.slot.shape]
 
     def sample(xp: Engine, x: Array, y: Array, z: Array) -> Array:
@@ -81,8 +81,7 @@ def _program(xp: Engine, bricks: Bricks, distance: Float[np.ndarray, "k 8 8 8"])
             steps = (number // _WIDTH**2, number // _WIDTH % _WIDTH, number % _WIDTH)
             value = sample(xp, *(coordinate + step - 2 for coordinate, step in zip(at, steps, strict=True)))
             for n, table in enumerate(weights):
-                a, b, c = (xp.gather(table, step, True) for step in steps)
-                sums[n] = sums[n] + value * (a * b * c)
+                sums[n] = sums[n] + value * xp.gather(table, number, True)
             return number + 1, *sums
 
         begin = (xp.full(first[0], 0), *(xp.full(first[0], 0.0) for _ in KERNELS))

@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from sdfbake.engine.protocol import Array, Lists, Measure, Program, State
+from sdfbake.engine.protocol import Array, Lists, Measures, Program, State
 from sdfbake.engine.tree import leaves, rebuild
 
 # Dr.Jit gives a thread 16,384 lanes at a time.
@@ -175,60 +175,91 @@ class DrjitEngine:
         return self.types.Int(dr.compress(mask))
 
     def first_least(
-        self, lists: Lists, lane: Sequence[Array], measure: Measure, tie: Callable[[Array], Array]
-    ) -> Array:
+        self, lists: Lists, lane: Sequence[Array], measure: Measures, tie: Callable[[Array], Array]
+    ) -> tuple[Array, ...]:
         """Reduce lists; see `Engine.first_least`."""
         lists, piece, lane = self._cut(lists, lane)
         least, first = self._first_least(lists, lane, measure, tie)
         if piece is None:
             return first
-        dr.eval(least, first)
-        _, which = self._first_least(piece, (), lambda item: dr.gather(self.real_type, least, item), tie)
-        return dr.gather(self.types.Int, first, which)
+        dr.eval(*least, *first)
+
+        def of_piece(item: Array) -> tuple[Array, ...]:
+            return tuple(dr.gather(self.real_type, values, item) for values in least)
+
+        _, which = self._first_least(piece, (), lambda: of_piece, tie)
+        return tuple(dr.gather(self.types.Int, items, at) for items, at in zip(first, which, strict=True))
 
     def _first_least(
-        self, lists: Lists, lane: Sequence[Array], measure: Measure, tie: Callable[[Array], Array]
-    ) -> tuple[Array, Array]:
-        """Return the least measure and the first item that has it.
+        self, lists: Lists, lane: Sequence[Array], measure: Measures, tie: Callable[[Array], Array]
+    ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Return the least measures and the first items that have them.
 
         In one pass: an item takes the place of the first only if it is less beyond a tie, while the least goes down
         all the time, so that many small steps do not lead away.
         """
+        of = measure(*lane)
+        count = len(of(self.types.Int(0) * lists.start))
 
-        def body(j: Array, least: Array, first: Array) -> tuple[Array, Array, Array]:
+        def body(j: Array, *state: Array) -> tuple[Array, ...]:
             item = dr.gather(self.types.Int, lists.items, j)
-            value = measure(item, *lane)
-            less = value < least - tie(least)
-            return j + 1, dr.minimum(least, value), dr.select(less, item, first)
+            least, first = state[:count], state[count:]
+            values = of(item)
+            less = [value < low - tie(low) for value, low in zip(values, least, strict=True)]
+            lower = [dr.minimum(low, value) for low, value in zip(least, values, strict=True)]
+            return j + 1, *lower, *(dr.select(mask, item, at) for mask, at in zip(less, first, strict=True))
 
         most = float(np.finfo(np.float32).max)
         end = lists.start + lists.count
-        state = (self.types.Int(lists.start), self.full(lists.start, most), self.full(lists.start, 0))
-        _, least, first = dr.while_loop(state, lambda j, least, first: j < end, body, mode="symbolic")
-        return least, first
+        highs = [self.full(lists.start, most) for _ in range(count)]
+        firsts = [self.full(lists.start, 0) for _ in range(count)]
+        state = (self.types.Int(lists.start), *highs, *firsts)
+        _, *found = dr.while_loop(state, lambda j, *rest: j < end, body, mode="symbolic")
+        return tuple(found[:count]), tuple(found[count:])
 
-    def narrowed(self, lists: Lists, lane: Sequence[Array], within: Measure) -> Lists:
+    def interleaved(self, arrays: Sequence[Array]) -> Array:
+        """Mix arrays lane by lane."""
+        dr.eval(*arrays)
+        return self._mixed(arrays, dr.width(arrays[0]), 1)
+
+    def _mixed(self, arrays: Sequence[Array], width: int, pieces: int) -> Array:
+        """Return one array by lane, then array, then piece of the lane."""
+        mixed = dr.empty(self.types.Int, len(arrays) * width * pieces)
+        entry, each = dr.arange(self.types.Int, width * pieces), dr.opaque(self.types.Int, pieces)
+        lane = entry // each
+        place = lane * (each * len(arrays)) + (entry - lane * each)
+        for k, values in enumerate(arrays):
+            dr.scatter(mixed, values, self.types.UInt(place + each * k))
+        return mixed
+
+    def narrowed(self, lists: Lists, lane: Sequence[Array], within: Measures) -> Lists:
         """Filter lists; see `Engine.narrowed`.
 
         Every list gets the room that it had, so that one pass is enough; what stays empty is never read.
         """
         lists, piece, lane = self._cut(lists, lane)
-        start = dr.prefix_sum(lists.count)
-        dr.eval(start)
-        items = dr.empty(self.types.Int, self._total(start, lists.count))
+        width, room = dr.width(lists.start), lists.count
+        before = dr.prefix_sum(room)
+        dr.eval(before)
+        test = within(*lane)
+        ways = len(test(self.types.Int(0) * lists.start))
+        items = dr.empty(self.types.Int, ways * self._total(before, room))
+        starts = [before * ways + room * k for k in range(ways)]
 
-        def body(j: Array, at: Array) -> tuple[Array, Array]:
+        def body(j: Array, *at: Array) -> tuple[Array, ...]:
             item = dr.gather(self.types.Int, lists.items, j)
-            good = within(item, *lane)
-            dr.scatter(items, item, self.types.UInt(at), good)
-            return j + 1, at + self.integer(good)
+            good = test(item)
+            for place, mask in zip(at, good, strict=True):
+                dr.scatter(items, item, self.types.UInt(place), mask)
+            return j + 1, *(place + self.integer(mask) for place, mask in zip(at, good, strict=True))
 
         end = lists.start + lists.count
-        state = (self.types.Int(lists.start), self.types.Int(start))
-        _, last = dr.while_loop(state, lambda j, at: j < end, body, mode="symbolic")
-        count = last - start
-        dr.eval(count, items)
-        return Lists(start, count, items) if piece is None else self._joined(Lists(start, count, items), piece)
+        _, *last = dr.while_loop((self.types.Int(lists.start), *starts), lambda j, *at: j < end, body, mode="symbolic")
+        counts = [after - start for after, start in zip(last, starts, strict=True)]
+        dr.eval(*counts, *starts, items)
+        pieces = 1 if piece is None else dr.width(piece.items) // dr.width(piece.start)
+        start, count = (self._mixed(arrays, width // pieces, pieces) for arrays in (starts, counts))
+        return Lists(start, count, items) if piece is None else self._joined(Lists(start, count, items), pieces)
 
     def _cut(self, lists: Lists, lane: Sequence[Array]) -> tuple[Lists, Lists | None, Sequence[Array]]:
         """Cut the lists of few lanes into pieces that are lanes of their own, or threads would have nothing to do.
@@ -251,8 +282,8 @@ class DrjitEngine:
         whole = dr.arange(self.types.Int, width)
         return cut, Lists(whole * each, dr.full(self.types.Int, pieces, width), piece), repeated
 
-    def _joined(self, cut: Lists, piece: Lists) -> Lists:
-        """Put the pieces of every list together without gaps."""
+    def _joined(self, cut: Lists, pieces: int) -> Lists:
+        """Put the pieces of every list, which follow each other, together without gaps."""
         start = dr.prefix_sum(cut.count)
         dr.eval(start)
         items = dr.empty(self.types.Int, self._total(start, cut.count))
@@ -263,10 +294,11 @@ class DrjitEngine:
 
         (last,) = dr.while_loop((start * 0,), lambda j: j < cut.count, body, mode="symbolic")
         dr.eval(last, items)
-        first, final = piece.start, piece.start + piece.count - 1
+        each = dr.opaque(self.types.Int, pieces)
+        first = dr.arange(self.types.Int, dr.width(start) // pieces) * each
+        final = first + each - 1
         begin = dr.gather(self.types.Int, start, first)
-        end = dr.gather(self.types.Int, start, final) + dr.gather(self.types.Int, cut.count, final)
-        count = end - begin
+        count = dr.gather(self.types.Int, start, final) + dr.gather(self.types.Int, cut.count, final) - begin
         dr.eval(begin, count)
         return Lists(begin, count, items)
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sdfbake.engine.pairs import Pairs, over_tiles
-from sdfbake.engine.protocol import Array, Lists, Measure, Program, State
+from sdfbake.engine.protocol import Array, Lists, Measures, Program, State
 from sdfbake.engine.tree import leaves, rebuild
 
 TILE = 32768  # rays: 256 kB per float64 array, so that a program's live arrays stay in the caches
@@ -159,29 +159,40 @@ class NumpyEngine:
         return np.flatnonzero(mask).astype(np.int32)
 
     def first_least(
-        self, lists: Lists, lane: Sequence[Array], measure: Measure, tie: Callable[[Array], Array]
-    ) -> Array:
+        self, lists: Lists, lane: Sequence[Array], measure: Measures, tie: Callable[[Array], Array]
+    ) -> tuple[Array, ...]:
         """Reduce lists; see `Engine.first_least`."""
 
-        def first(pairs: Pairs) -> np.ndarray:
-            values = pairs.measured(measure)
-            least = pairs.least(values)
-            equal = values <= (least + tie(least))[pairs.owner]
-            place = np.where(equal, np.arange(len(values)), len(values))
-            found: np.ndarray = pairs.item[pairs.least(place)]
+        def first(pairs: Pairs) -> list[np.ndarray]:
+            found = []
+            for values in pairs.measured(measure):
+                least = pairs.least(values)
+                equal = values <= (least + tie(least))[pairs.owner]
+                found.append(pairs.item[pairs.least(np.where(equal, np.arange(len(values)), len(values)))])
             return found
 
-        return np.concatenate(over_tiles(lists, lane, first))
+        return tuple(np.concatenate(parts) for parts in zip(*over_tiles(lists, lane, first), strict=True))
 
-    def narrowed(self, lists: Lists, lane: Sequence[Array], within: Measure) -> Lists:
+    def interleaved(self, arrays: Sequence[Array]) -> Array:
+        """Mix arrays lane by lane."""
+        return np.stack(arrays, axis=-1).reshape(-1)
+
+    def narrowed(self, lists: Lists, lane: Sequence[Array], within: Measures) -> Lists:
         """Filter lists; see `Engine.narrowed`."""
 
-        def filtered(pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
-            good = pairs.measured(within)
-            return pairs.item[good], np.bincount(pairs.owner[good], minlength=len(pairs.first)).astype(np.int32)
+        def filtered(pairs: Pairs) -> list[tuple[np.ndarray, np.ndarray]]:
+            counted = len(pairs.first)
+            return [
+                (pairs.item[good], np.bincount(pairs.owner[good], minlength=counted).astype(np.int32))
+                for good in pairs.measured(within)
+            ]
 
-        items, counts = (np.concatenate(parts) for parts in zip(*over_tiles(lists, lane, filtered), strict=True))
-        return Lists(np.cumsum(counts, dtype=np.int32) - counts, counts, items)
+        ways = list(zip(*over_tiles(lists, lane, filtered), strict=True))
+        items = np.concatenate([part[0] for way in ways for part in way])
+        counts = [np.concatenate([part[1] for part in way]) for way in ways]
+        ends = np.cumsum(np.concatenate(counts), dtype=np.int32).reshape(len(ways), -1)
+        starts = [end - count for end, count in zip(ends, counts, strict=True)]
+        return Lists(self.interleaved(starts), self.interleaved(counts), items)
 
     def scattered(self, size: int, fill: float | int, place: Array, value: Array, active: Array) -> Array:
         """Put values in their places; see `Engine.scattered`."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sdfbake.engine.protocol import Array, Lists, Measure
+from sdfbake.engine.protocol import Array, Lists, Measures
 
 PAIRS = 1 << 15  # in a tile, unless one lane alone has more: its thirty temporaries stay in the caches
 
@@ -36,10 +36,10 @@ class Pairs(NamedTuple):
     first: np.ndarray
     known: tuple[np.ndarray, ...]
 
-    def measured(self, measure: Measure) -> np.ndarray:
-        """Return the measure of every pair."""
+    def measured(self, measures: Measures) -> tuple[np.ndarray, ...]:
+        """Return what is asked of every pair."""
         with np.errstate(all="ignore"):  # faces without area divide by 0, and lose
-            return np.asarray(measure(self.item, *self.known))
+            return measures(*self.known)(self.item)
 
     def least(self, values: np.ndarray) -> np.ndarray:
         """Return the least value of every lane's pairs."""

@@ -13,11 +13,12 @@ import numpy as np
 Array = Any  # a NumPy array or a Dr.Jit array: the two share operators, not a type
 State = TypeVar("State", bound=tuple[Any, ...])
 Program = Callable[..., Mapping[str, Array]]
-Measure = Callable[..., Array]  # of an item and what its lane knows
+# Of what a lane knows, and then of one item after another.
+Measures = Callable[..., Callable[[Array], tuple[Array, ...]]]
 
 
 class Lists(NamedTuple):
-    """A list of items for every lane: `items[start : start + count]`, never empty; integers."""
+    """A list of items for every lane: `items[start : start + count]`; integers."""
 
     start: Array
     count: Array
@@ -137,16 +138,24 @@ class Engine(Protocol):
         ...
 
     def first_least(
-        self, lists: Lists, lane: Sequence[Array], measure: Measure, tie: Callable[[Array], Array]
-    ) -> Array:
-        """Return for every lane the first item of its list that is least.
+        self, lists: Lists, lane: Sequence[Array], measure: Measures, tie: Callable[[Array], Array]
+    ) -> tuple[Array, ...]:
+        """Return for every lane the first item of its list that is least, by each of several measures;
+        no list is empty.
 
         Items count as equally small if they differ by at most `tie(least)`.
         """
         ...
 
-    def narrowed(self, lists: Lists, lane: Sequence[Array], within: Measure) -> Lists:
-        """Return the lists of the items for which `within(item, *lane)` holds, in order."""
+    def interleaved(self, arrays: Sequence[Array]) -> Array:
+        """Return one array of integers with the entries of lane 0 of all arrays, then those of lane 1, and so on."""
+        ...
+
+    def narrowed(self, lists: Lists, lane: Sequence[Array], within: Measures) -> Lists:
+        """Return lists of the items for which `within(*lane)(item)` holds, in order; they may be empty.
+
+        `within` returns several masks, and every lane so many lists, which follow each other.
+        """
         ...
 
     def scattered(self, size: int, fill: float | int, place: Array, value: Array, active: Array) -> Array:
