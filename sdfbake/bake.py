@@ -9,6 +9,7 @@ import hashlib
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,7 +19,6 @@ from sdfbake.band import Target, filled
 from sdfbake.bricks import REACH, SIDE, Bricks, counts, in_lattice
 from sdfbake.candidates import brick_candidates, places
 from sdfbake.closest import Surface
-from sdfbake.complaint import BadInput
 from sdfbake.diagnosis import diagnose
 from sdfbake.engine import Engine, choose
 from sdfbake.faces import FaceTable
@@ -28,52 +28,14 @@ from sdfbake.interpolation import brick_errors
 from sdfbake.lattice import Lattice
 from sdfbake.layering import layer
 from sdfbake.mesh import Mesh
-from sdfbake.metadata import MODES, Metadata, Sign
-from sdfbake.sign import Pseudonormals
+from sdfbake.metadata import Metadata, Sign
+from sdfbake.options import Options
+from sdfbake.sign import Pseudonormals, Winding
 from sdfbake.smooth import Refined, ls3
 from sdfbake.topology import Topology, corners
 from sdfbake.uvgrid import closest_uv
 
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What a bake is asked for, checked.
-
-    Attributes
-    ----------
-    modes
-        Of texture coordinates, in the order of `MODES`.
-    sign
-        "auto", "winding" or "pseudonormal".
-    shell
-        World units: an open mesh is taken for a shell of that thickness; 0 for a solid.
-    open
-        Whether meshes with boundary edges are taken.
-    smooth
-        "none" or "ls3".
-    """
-
-    modes: tuple[str, ...]
-    sign: str
-    shell: float
-    open: bool
-    smooth: str
-
-    @staticmethod
-    def of(mesh: Mesh, uv_mode: str | Iterable[str] | None, sign: str, open_: str | None, smooth: str) -> "Options":
-        """Check what a user wrote; see `bake` for the meaning and the errors."""
-        if sign not in ("auto", "winding", "pseudonormal"):
-            raise BadInput(f"sign method {sign!r} is unknown: use auto, winding or pseudonormal")
-        if smooth not in ("none", "ls3"):
-            raise BadInput(f"smoothing {smooth!r} is unknown: use none or ls3")
-        if len(mesh.part_names) > 256:
-            raise BadInput(f"the mesh has {len(mesh.part_names)} parts and a grid stores at most 256: merge some")
-        thickness = _thickness(open_)
-        if open_ is not None and sign == "pseudonormal":
-            raise BadInput("pseudonormals need a closed mesh: leave out --sign pseudonormal, or --open")
-        return Options(_modes(mesh, uv_mode), sign, thickness, open_ is not None, smooth)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,32 +126,23 @@ def bake(
     normals = Pseudonormals.of(surface) if oriented else None
     xp = choose(engine, 32).engine
     inset = options.shell / 2 / lattice.spacing
-    target = Target.of(xp, lattice.to_grid(surface.vertices * surface.scale + surface.centre), surface.faces,
-                       lattice.shape, normals, inset)  # fmt: skip
+    target = Target.of(xp, lattice.to_grid(source.vertices), surface.faces, lattice.shape, normals, inset)
     samples = _sampled(xp, target, lattice, memory.Budget.of(max_memory, source, lattice, options.modes), report)
     samples, record = _signed(samples, surface, lattice, normals, options, report)
     _warn(record, inside_out=diagnosis.has("inside-out"))
 
-    rows = samples.face
-    samples = replace(samples, face=_mesh_faces(samples.face, surface, refined))
-    present = np.zeros(counts(lattice.shape), bool)
-    present[tuple(samples.index.T)] = True
-    far = far_bounds(present, samples.index, samples.distance, REACH, lattice.spacing)
-    bricks = Bricks.of(present, far)
-    layers, overflow = None, 0
-    if "layers" in options.modes:
-        layers, overflow = layer(mesh, lattice, bricks, samples.distance, samples.face, report)
-    by_grid = "grid" in options.modes
-    several = len(mesh.part_names) > 1
+    bricks = _bricks(samples, surface, lattice, record)
+    named = replace(samples, face=_mesh_faces(samples.face, surface, refined))
+    channels = _texture(mesh, lattice, bricks, named, options, report)
+    if "grid" in options.modes:
+        channels["uv"] = closest_uv(xp, target, _corner_uv(source)[surface.ids], samples.index, samples.face)
     return Grid(
         lattice,
         bricks,
         samples.distance,
-        closest_uv(xp, target, source.uv[surface.ids], samples.index, rows)
-        if by_grid and source.uv is not None
-        else None,
-        _by_face(mesh.chart, samples.face, np.int32) if by_grid and mesh.chart.any() else None,
-        _by_face(mesh.part, samples.face, np.uint8) if several else None,
+        channels.get("uv"),
+        channels.get("chart"),
+        _by_face(mesh.part, named.face, np.uint8) if len(mesh.part_names) > 1 else None,
         Metadata(
             source="mesh",
             units=mesh.units,
@@ -198,50 +151,16 @@ def bake(
             parts=mesh.part_names,
             charts=int(mesh.chart.max()) + 1 if options.modes else 0,
             uv_modes=options.modes,
-            overflow=overflow,
+            overflow=channels.get("overflow", 0),
             texture=mesh.texture,
             options={"resolution": resolution, "cube": cube, "sign": sign, "open": open, "smooth": smooth},
             edge_over_h=edge_over_h(source, lattice),
         ),
-        face=samples.face if "faces" in options.modes else None,
-        surface=FaceTable.of(mesh) if "faces" in options.modes else None,
-        layers=layers,
+        face=channels.get("face"),
+        surface=channels.get("surface"),
+        layers=channels.get("layers"),
         error=brick_errors(xp, bricks, samples.distance, samples.centre, lattice.spacing),
     )
-
-
-def _modes(mesh: Mesh, wanted: str | Iterable[str] | None) -> tuple[str, ...]:
-    """Return how texture coordinates are stored, in the order of `MODES`."""
-    if wanted is None:
-        wanted = "none" if mesh.uv is None else "faces"
-    names = {name.strip() for name in wanted.split(",")} if isinstance(wanted, str) else set(wanted)
-    unknown = sorted(names - {*MODES, "none"})
-    if unknown:
-        raise BadInput(f"uv mode {unknown[0]!r} is unknown: use none, or some of {', '.join(MODES)} with commas")
-    if "none" in names and len(names) > 1:
-        raise BadInput("uv mode 'none' goes with no other: leave it out, or ask for none alone")
-    modes = tuple(mode for mode in MODES if mode in names)
-    if modes and mesh.uv is None:
-        raise BadInput(
-            f"uv mode {modes[0]!r} needs texture coordinates and the mesh has none: unwrap it (--unwrap) or use none"
-        )
-    if modes and not np.isfinite(np.asarray(mesh.uv)).all():
-        raise BadInput("the mesh has texture coordinates that are not finite: unwrap it again or use uv mode none")
-    return modes
-
-
-def _thickness(wish: str | None) -> float:
-    """Return the thickness of a shell, 0 for a solid."""
-    if wish in (None, "winding"):
-        return 0.0
-    kind, _, number = str(wish).partition(":")
-    try:
-        thickness = float(number) if kind == "shell" else float("nan")
-    except ValueError:
-        thickness = float("nan")
-    if not 0 < thickness < float("inf"):
-        raise BadInput(f"open {wish!r} is unknown: use winding, or shell:T with a thickness T above 0 in mesh units")
-    return thickness
 
 
 def _lattice(mesh: Mesh, resolution: int, options: Options, cube: bool) -> Lattice:
@@ -302,6 +221,35 @@ def _signed(
             return samples, record
     distance, record = sides.wound(surface, lattice, samples.index, samples.distance, report)
     return replace(samples, distance=distance), record
+
+
+def _bricks(samples: _Samples, surface: Surface, lattice: Lattice, sign: Sign) -> Bricks:
+    """Return the table of bricks, with bounds where there are none."""
+    present = np.zeros(counts(lattice.shape), bool)
+    present[tuple(samples.index.T)] = True
+    winding = Winding.of(surface) if sign.method == "winding" else None
+    return Bricks.of(present, far_bounds(present, samples.index, samples.distance, REACH, lattice, winding))
+
+
+def _texture(
+    mesh: Mesh, lattice: Lattice, bricks: Bricks, samples: _Samples, options: Options, report: Progress
+) -> dict[str, Any]:
+    """Return what the UV modes store of the samples' faces, and how many cells had too many charts."""
+    channels: dict[str, Any] = {}
+    if "faces" in options.modes:
+        channels |= {"face": samples.face, "surface": FaceTable.of(mesh)}
+    if "layers" in options.modes:
+        layers, overflow = layer(mesh, lattice, bricks, samples.distance, samples.face, report)
+        channels |= {"layers": layers, "overflow": overflow}
+    if "grid" in options.modes and mesh.chart.any():
+        channels["chart"] = _by_face(mesh.chart, samples.face, np.int32)
+    return channels
+
+
+def _corner_uv(mesh: Mesh) -> Float[np.ndarray, "f 3 2"]:
+    if mesh.uv is None:
+        raise ValueError("no texture coordinates")
+    return mesh.uv
 
 
 def _mesh_faces(face: Int[np.ndarray, "k 8 8 8"], surface: Surface, refined: Refined | None) -> np.ndarray:

@@ -22,6 +22,7 @@ from sdfbake.triangle import Point, dot, minus
 
 _LEAF = 2  # samples along a cube that shares one list
 _NODES = SIDE // _LEAF
+_PAIRS = 1 << 20  # bricks' candidates worked on together: those of their leaves have room for some twenty times more
 _CELL = 3**0.5 / 2  # voxels from a cell's centre to its corners: farther, and there is no surface in it
 # Two distances that differ by less are equal: well above what rounding makes of coordinates of the lattice's extent.
 _TIE_EPS = 64 * 2.0**-53
@@ -136,20 +137,21 @@ def filled(
     at_once
         Bricks worked on together; memory is in proportion, and the result does not depend on it.
     """
-    for start in range(0, len(bricks.parent), at_once):
-        part = slice(start, min(start + at_once, len(bricks.parent)))
-        some = taken(xp, bricks, xp.lanes(part.stop - start) + xp.uniform(start))
+    for part in _parts(np.asarray(bricks.lists.count), at_once):
+        some = taken(xp, bricks, xp.lanes(part.stop - part.start) + xp.uniform(part.start))
         yield part, _fill(xp, target, some, reach, spacing)
 
 
-class _Samples(NamedTuple):
-    """Samples near the surface: their bricks and indices, whether the lattice has them, and what is closest."""
-
-    brick: Array
-    at: Point
-    inside: Array
-    face: Array
-    distance: Array
+def _parts(counts: Int[np.ndarray, " b"], at_once: int) -> list[slice]:
+    """Cut a row of bricks where there are enough of them, or enough candidates."""
+    before = np.cumsum(counts, dtype=np.int64) - counts
+    cuts, start = [], 0
+    while start < len(counts):
+        stop = int(np.searchsorted(before, before[start] + _PAIRS))
+        stop = min(max(stop, start + 1), start + at_once)
+        cuts.append(slice(start, min(stop, len(counts))))
+        start = stop
+    return cuts
 
 
 def _fill(xp: Engine, target: Target, bricks: Cubes, reach: float, spacing: float) -> Band:

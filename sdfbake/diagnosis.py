@@ -30,7 +30,7 @@ class Finding:
     ----------
     name
         "empty", "non-finite", "degenerate", "duplicate", "unreferenced", "flipped", "inside-out", "open",
-        "non-manifold" or "self-intersecting".
+        "non-manifold", "self-intersecting"; of a mesh in a lattice also "thin" and "gap".
     count
         How many vertices, faces or edges have it.
     of
@@ -79,7 +79,7 @@ class Diagnosis:
     @property
     def certified(self) -> bool:
         """Whether the surface is closed, oriented and manifold, so that pseudonormals tell inside from outside."""
-        return not {finding.name for finding in self.findings} - {"unreferenced", "inside-out"}
+        return not {finding.name for finding in self.findings} - {"unreferenced", "inside-out", "thin", "gap"}
 
     def has(self, name: str) -> bool:
         """Say whether a defect was found."""

@@ -10,6 +10,8 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from sdfbake.bricks import SIDE
+from sdfbake.lattice import Lattice
+from sdfbake.sign import Winding
 
 _ROOT3 = 3.0**0.5
 _DOWN = 1 - 1e-6  # more than float32's rounding: a lower bound stays one when it is stored
@@ -20,7 +22,8 @@ def far_bounds(
     index: Int[np.ndarray, "k 3"],
     distance: Float[np.ndarray, "k 8 8 8"],
     reach: float,
-    spacing: float,
+    lattice: Lattice,
+    winding: Winding | None = None,
 ) -> Float[np.ndarray, "bx by bz"]:
     """Return signed bounds for absent bricks, 0 for present ones.
 
@@ -31,15 +34,17 @@ def far_bounds(
         within `reach` of the surface lies in one of them.
     reach
         Voxels.
-    spacing
-        World units per voxel.
+    lattice
+        Where the samples lie.
+    winding
+        Asked where neighbours disagree: through the holes of an open mesh, inside and outside meet.
 
     Returns
     -------
     far
         Float32, world units: no point of the brick's closed cube of cells is nearer to the surface than that.
     """
-    absent = ~present
+    absent, spacing = ~present, lattice.spacing
     if not absent.any():
         return np.zeros(present.shape, np.float32)
     steps = ndimage.distance_transform_edt(absent) if present.any() else np.full(present.shape, np.inf)
@@ -47,18 +52,24 @@ def far_bounds(
     # of the cells is farther than a cell's diagonal.
     bound = np.maximum(SIDE * (steps - _ROOT3), reach - _ROOT3) * spacing * _DOWN
     bound = np.minimum(bound, np.float64(np.linalg.norm(present.shape)) * SIDE * spacing)  # where nothing is present
-    return np.where(absent, bound * _signs(absent, index, distance), 0).astype(np.float32)
+    group, inside, outside = _touched(absent, index, distance)
+    sign = np.where(inside[group], -1, 1)
+    torn = absent & (inside & outside)[group]
+    if winding is not None and torn.any():
+        centres = lattice.to_world(np.argwhere(torn) * SIDE + SIDE / 2)
+        sign[torn] = winding.signs(centres)
+    return np.where(absent, bound * sign, 0).astype(np.float32)
 
 
-def _signs(
+def _touched(
     absent: Bool[np.ndarray, "bx by bz"], index: Int[np.ndarray, "k 3"], distance: Float[np.ndarray, "k 8 8 8"]
-) -> Int[np.ndarray, "bx by bz"]:
-    """Give every connected set of absent bricks the sign of the samples that it touches; what touches none is outside.
+) -> tuple[Int[np.ndarray, "bx by bz"], Bool[np.ndarray, " g"], Bool[np.ndarray, " g"]]:
+    """Number the connected sets of absent bricks, and say which of them touch samples inside and outside.
 
     A sample next to an absent brick is at least reach - 1 voxels from the surface, and one voxel from the brick's own.
     """
     group, count = ndimage.label(absent)
-    inside = np.zeros(count + 1, bool)
+    inside, outside = np.zeros(count + 1, bool), np.zeros(count + 1, bool)
     for axis in range(3):
         for step, layer in ((-1, 0), (1, SIDE - 1)):
             neighbour = index.astype(np.int64)
@@ -71,5 +82,6 @@ def _signs(
             negative = distance[(within.nonzero()[0], *at)] < 0
             touched = group[tuple(neighbour[within].T)]
             inside[touched[negative]] = True
-    inside[0] = False
-    return np.where(inside[group], -1, 1)
+            outside[touched[~negative]] = True
+    inside[0] = outside[0] = False  # bricks that exist
+    return group, inside, outside

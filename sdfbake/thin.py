@@ -8,7 +8,10 @@ voxels the medial axis enters the stencils of the kernels; below two, surface ma
 import numpy as np
 from jaxtyping import Bool, Float
 
+from sdfbake.closest import Surface
 from sdfbake.diagnosis import Finding
+from sdfbake.lattice import Lattice
+from sdfbake.mesh import Mesh
 from sdfbake.sign import Pseudonormals
 from sdfbake.topology import twice_areas
 
@@ -58,6 +61,11 @@ def thin_features(normals: Pseudonormals, spacing: float) -> tuple[Finding, ...]
                 of = f"of {len(p)} surface points ({crowded.mean():.2%} of the area) where {what} thinner than {word}"
                 found.append(_finding(name, f"{of} voxels", crowded, p))
     return tuple(found)
+
+
+def thin_in(mesh: Mesh, lattice: Lattice) -> tuple[Finding, ...]:
+    """Return the thin features of a closed mesh in a lattice; see `thin_features`."""
+    return thin_features(Pseudonormals.of(Surface.of(mesh)), lattice.spacing)
 
 
 def _finding(name: str, of: str, which: Bool[np.ndarray, " n"], p: Float[np.ndarray, "n 3"]) -> Finding:

@@ -11,6 +11,7 @@ from sdfbake.commands.info import describe
 from sdfbake.commands.show import json_option, print_record, progress, repaired
 from sdfbake.lattice import check_resolution
 from sdfbake.mesh import Mesh
+from sdfbake.thin import thin_in
 
 
 @click.command()
@@ -43,4 +44,7 @@ def bake(mesh: Path, output: Path, resolution: int, *, unwrapped: bool, as_json:
         grid = run_bake(loaded, resolution, progress=report, **options)
         report("writing", 0)
         grid.save(output)
-    print_record({**describe(grid, output), "done": done}, as_json=as_json)
+    record = describe(grid, output)
+    if options["open"] is None:
+        record["thin"] = [str(finding) for finding in thin_in(loaded, grid.lattice)]
+    print_record({**record, "done": done}, as_json=as_json)

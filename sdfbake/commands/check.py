@@ -8,13 +8,16 @@ import click
 from sdfbake import commandline
 from sdfbake.commands.show import chart_count, json_option, progress
 from sdfbake.diagnosis import Diagnosis, diagnose
+from sdfbake.lattice import Lattice
 from sdfbake.mesh import Mesh
+from sdfbake.thin import thin_in
 
 
 @click.command()
 @click.argument("mesh", type=Path)
+@click.option("-n", "--resolution", type=int, help="Also look for what is too thin for a grid of that resolution.")
 @json_option
-def check(mesh: Path, *, as_json: bool) -> int:
+def check(mesh: Path, resolution: int | None, *, as_json: bool) -> int:
     """Say what is wrong with MESH; exit code 0 if it can be baked, 2 if not."""
     from sdfbake.repair import crossings
 
@@ -22,7 +25,8 @@ def check(mesh: Path, *, as_json: bool) -> int:
         loaded = Mesh.load(mesh)
     found = diagnose(loaded)
     if not found.refused:
-        found = Diagnosis(found.findings + crossings(loaded))
+        thin = () if resolution is None else thin_in(loaded, Lattice.around(loaded.bounds, resolution))
+        found = Diagnosis(found.findings + crossings(loaded) + thin)
     record = {
         "file": str(mesh),
         "vertices": len(loaded.vertices),

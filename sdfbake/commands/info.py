@@ -5,10 +5,12 @@ from typing import Any
 
 import click
 import numpy as np
+from jaxtyping import Float
 
 from sdfbake import bricks
 from sdfbake.commands.show import json_option, print_record
-from sdfbake.grid import Grid
+from sdfbake.grid import KERNELS, Grid
+from sdfbake.seams import seam_cells
 
 
 @click.command()
@@ -24,6 +26,8 @@ def describe(grid: Grid, path: Path) -> dict[str, Any]:
     from sdfbake.gridfile import stored_bytes
 
     lattice, metadata = grid.lattice, grid.metadata
+    near = np.abs(grid.distance) <= lattice.spacing * 3**0.5
+    seams = seam_cells(grid)[near] if metadata.uv_modes and metadata.uv_modes != ("layers",) else None
     inside = bricks.in_lattice(grid.bricks.index, lattice.shape)
     return {
         "file": str(path),
@@ -38,6 +42,22 @@ def describe(grid: Grid, path: Path) -> dict[str, Any]:
         "parts": list(metadata.parts),
         "charts": metadata.charts,
         "uv_modes": list(metadata.uv_modes),
+        "seam_share": None if seams is None else float(seams.mean()),
+        "layers_overflow": metadata.overflow if "layers" in metadata.uv_modes else None,
+        "texture": metadata.texture,
         "edge_over_h": metadata.edge_over_h,
+        "interpolation_error": None if grid.error is None else _errors(grid.error),
+        "options": metadata.options,
         "tool_version": metadata.tool_version,
+    }
+
+
+def _errors(error: Float[np.ndarray, "k 3"]) -> dict[str, dict[str, float]]:
+    """Return, voxels, the median and the greatest error of each kernel over the bricks with surface."""
+    some = error[error.any(axis=1)]
+    columns = {name: some[:, column] for column, name in enumerate(KERNELS)}
+    return {
+        name: {"median": float(np.median(values)), "max": float(values.max())}
+        for name, values in columns.items()
+        if len(values)
     }
