@@ -26,11 +26,16 @@ FIGURES := figure-4-linear figure-4-cubic figure-5 figure-6-linear figure-6-cubi
 	figure-7-linear figure-7-cubic figure-7-bspline figure-8
 RENDERS := $(FIGURES) $(FIGURES:%=%-baked) figure-4-reference reference torus bunny
 OBJECTS := bunny torus mirror
-SUITES := $(OBJECTS:%=footprints-%) figures opinion convergence
-TIMED := frontier engines
+# On whose atlases the representations of texture coordinates are compared.
+CHARTED := bunny torus
+SUITES := $(OBJECTS:%=footprints-%) $(CHARTED:%=representations-%) figures opinion convergence
+TIMED := frontier engines representations-clock
 
-GRIDS := $(foreach name,torus mirror bunny,$(name)@64 $(name)@512) sphere@16
+GRIDS := $(foreach name,$(OBJECTS),$(name)@64 $(name)@512) $(foreach name,$(CHARTED),$(name)@128 $(name)@256) sphere@16
 EXACT_GRIDS := exact-mirror@64 exact-mirror@512 exact-torus@64 exact-torus@512 exact-sphere@16
+
+# Of the benchmark against other bakers, which the report shows where it was run.
+BAKED := bunny bunny-900k box-12
 
 mesh = $(BUILD)/meshes/$(1).ply
 grid = $(BUILD)/grids/$(1).zarr.zip
@@ -51,7 +56,10 @@ BAKE_CODE := $(wildcard sdfbake/*.py)
 RENDER_CODE := $(wildcard sdfrender/*.py sdfbake/engine/*.py) $(addprefix sdfbake/,grid.py gridfile.py bricks.py lattice.py)
 CHECK_CODE := $(wildcard validate/*.py validate/suites/*.py)
 
-.PHONY: help setup report test format-check lint types imports pytest bench clean meshes grids renders
+# Pythons in which the other bakers are looked for, beside the system's and ours.
+export PEER_PYTHONS ?= $(wildcard $(BUILD)/trueform/bin/python)
+
+.PHONY: help setup report test format-check lint types imports pytest bench bench-bake trueform clean meshes grids renders
 .DEFAULT_GOAL := help
 
 help:  ## say what can be made
@@ -81,6 +89,13 @@ $(BUILD)/raw/%.ply: $(MESH_CODE) | $(READY)
 
 $(BUILD)/meshes/%.ply: $(BUILD)/raw/%.ply $(MESH_CODE) | $(READY)
 	$(PY) -m sdfbake unwrap $< -o $@
+
+# Meshes to compare bakers on, without texture coordinates.
+$(call mesh,bunny-900k): $(MESH_CODE) | $(READY)
+	$(PY) -m datasets_synthetic make bunny-900k -o $@
+
+$(call mesh,box-12): $(MESH_CODE) | $(READY)
+	$(PY) -m datasets_synthetic make box --edge 2 -o $@
 
 $(BUILD)/textures/%.png: datasets_synthetic/texture.py datasets_synthetic/__main__.py | $(READY)
 	$(PY) -m datasets_synthetic texture $* -o $@
@@ -130,8 +145,12 @@ $(foreach s,torus bunny,$(eval $(call uses,$(s),$(s)@512,$(CHECKER))))
 report: $(BUILD)/report/index.html  ## the main job: build/report/index.html
 	@echo "the report is $<"
 
-$(BUILD)/report/index.html: $(RUN_FILES) $(wildcard validate/*.py validate/sections/*.py validate/templates/*) | $(READY)
-	$(PY) -m validate report $(RUN_FILES) -o $(@D)
+# The benchmark of bakers is shown where it lies, and never run for the report.
+SHOWN := $(RUN_FILES) $(wildcard $(call runs,baking))
+$(call runs,baking): ;
+
+$(BUILD)/report/index.html: $(SHOWN) $(wildcard validate/*.py validate/peers/limits.py validate/sections/*.py validate/templates/*) | $(READY)
+	$(PY) -m validate report $(SHOWN) -o $(@D)
 
 $(BUILD)/runs/%.jsonl: $(CHECK_CODE) $(RENDER_CODE) | $(READY)
 	$(PY) -m validate run $* -o $@ --build $(BUILD)
@@ -142,12 +161,19 @@ $(BUILD)/runs/footprints-%.jsonl: $(BUILD)/meshes/%.ply $(BUILD)/grids/%@64.zarr
 		$(CHECK_CODE) $(RENDER_CODE) | $(READY)
 	$(PY) -m validate run footprints --only $* -o $@ --build $(BUILD)
 $(foreach m,torus mirror,$(eval $(call runs,footprints-$(m)): $(call grid,exact-$(m)@64) $(call grid,exact-$(m)@512)))
+$(BUILD)/runs/representations-%.jsonl: $(CHECK_CODE) $(RENDER_CODE) | $(READY)
+	$(PY) -m validate run representations --only $* -o $@ --build $(BUILD)
+$(foreach m,$(CHARTED),$(eval $(call runs,representations-$(m)): \
+	$(call mesh,$(m)) $(foreach n,64 128 256,$(call grid,$(m)@$(n)))))
+$(call runs,representations-bunny): $(CHECKER)
+$(call runs,representations-clock): $(call mesh,bunny) $(call grid,bunny@64) $(call grid,bunny@256)
 $(call runs,opinion): $(foreach m,$(OBJECTS),$(call mesh,$(m)) $(call grid,$(m)@64) $(call grid,$(m)@512))
 $(call runs,engines): $(call grid,mirror@64) $(call grid,mirror@512)
 
 # Timed steps share the machine with nothing: they wait for everything else, and for each other.
 $(call runs,frontier): | $(foreach s,$(SUITES),$(call runs,$(s))) $(RENDER_FILES)
 $(call runs,engines): | $(call runs,frontier)
+$(call runs,representations-clock): | $(call runs,engines)
 
 # ---- tests -----------------------------------------------------------------------------------------------------------
 test: format-check lint types imports pytest  ## format, lint, types, room rules and all tests
@@ -170,6 +196,13 @@ pytest: $(READY)  ## the tests alone
 bench: $(READY)  ## the timed experiments alone, anew
 	rm -f $(foreach s,$(TIMED),$(call runs,$(s)))
 	$(MAKE) $(foreach s,$(TIMED),$(call runs,$(s)))
+
+bench-bake: $(foreach m,$(BAKED),$(call mesh,$(m))) | $(READY)  ## ours against OpenVDB, trueform, Open3D, where they are
+	$(PY) -m validate run baking -o $(call runs,baking) --build $(BUILD)
+
+trueform:  ## install trueform for bench-bake; PolyForm Noncommercial: yours to accept
+	$(PYTHON) -m venv $(BUILD)/trueform
+	$(BUILD)/trueform/bin/python -m pip install --quiet --disable-pip-version-check numpy trueform
 
 clean:  ## remove build/ (and nothing else)
 	rm -rf $(BUILD)

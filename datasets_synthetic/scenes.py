@@ -3,8 +3,9 @@
 In: a name. Out: the text of a scene file whose paths expect `scenes/`, `grids/` and `textures/` side by side.
 
 The report's scene: a mirror sphere in front of the camera, a page of text behind it, visible in the mirror only. Its
-"cubic" is the Catmull-Rom spline of its eq. 21. The captions of its figures 6 and 7 are swapped against its text; here
-figure 6 is the grid of 512 and figure 7 that of 64, as the text has it.
+"cubic" is the Catmull-Rom spline of its eq. 21, and its texture coordinates are interpolated (eq. 22): uv = "grid". The
+captions of its figures 6 and 7 are swapped against its text; here figure 6 is the grid of 512 and figure 7 that of 64,
+as the text has it.
 """
 
 from dataclasses import dataclass
@@ -49,6 +50,7 @@ wrap = "clamp"
 
 [[assets]]
 grid = "../grids/{grid}.zarr.zip"
+uv = "grid"
 materials = [
     {{ type = "mirror", part = "sphere", colour = [0.85, 0.9, 0.95] }},
     {{ type = "diffuse", part = "sheet", texture = "page" }},

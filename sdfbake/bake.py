@@ -8,6 +8,7 @@ interpolation, bounds for what is far.
 import hashlib
 import warnings
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from sdfbake import memory, sides
-from sdfbake.band import Target, filled
+from sdfbake.band import PROBES, Target, filled
 from sdfbake.bricks import REACH, SIDE, Bricks, counts, in_lattice
 from sdfbake.candidates import brick_candidates, places
 from sdfbake.closest import Surface
@@ -32,7 +33,7 @@ from sdfbake.metadata import Metadata, Sign
 from sdfbake.options import Options
 from sdfbake.sign import Pseudonormals, Winding
 from sdfbake.smooth import Refined, ls3
-from sdfbake.topology import Topology, corners
+from sdfbake.topology import corners
 from sdfbake.uvgrid import closest_uv
 
 Progress = Callable[[str, float], None]
@@ -45,7 +46,7 @@ class _Samples:
     index: Int[np.ndarray, "k 3"]
     distance: Float[np.ndarray, "k 8 8 8"]
     face: Int[np.ndarray, "k 8 8 8"]
-    centre: Float[np.ndarray, "k 4 4 4"]
+    probe: Float[np.ndarray, "k 4 4 4 2"]
 
 
 def bake(
@@ -112,26 +113,29 @@ def bake(
     >>> grid = bake(Mesh.load("bunny.obj"), 64)  # doctest: +SKIP
     """
     options = Options.of(mesh, uv_mode, sign, open, smooth)
-    topology = Topology.of(mesh.faces)
-    diagnosis = diagnose(mesh, topology)
+    surface = _checked(mesh)
+    diagnosis = diagnose(mesh, surface)
     diagnosis.require_bakeable(open_too=options.open)
     report = progress or (lambda stage, share: None)
     lattice = _lattice(mesh, resolution, options, cube)
     refined = _refined(mesh, lattice, options, report)
     source = refined.mesh if refined else mesh
-    lattice = _lattice(source, resolution, options, cube) if refined else lattice
-
-    surface = Surface.of(source, None if refined else topology)
+    if refined:
+        surface, lattice = Surface.of(source), _lattice(source, resolution, options, cube)
     oriented = not options.shell and (sign == "pseudonormal" or (diagnosis.certified and sign == "auto"))
     normals = Pseudonormals.of(surface) if oriented else None
     xp = choose(engine, 32).engine
     inset = options.shell / 2 / lattice.spacing
     target = Target.of(xp, lattice.to_grid(source.vertices), surface.faces, lattice.shape, normals, inset)
-    samples = _sampled(xp, target, lattice, memory.Budget.of(max_memory, source, lattice, options.modes), report)
-    samples, record = _signed(samples, surface, lattice, normals, options, report)
-    _warn(record, inside_out=diagnosis.has("inside-out"))
+    budget = memory.Budget.of(max_memory, surface, lattice, options.modes, len(mesh.part_names))
+    with ThreadPoolExecutor(1) as aside:  # the tree for the other method's signs grows beside the descent
+        growing = aside.submit(Winding.of, surface)
+        samples = _sampled(xp, target, lattice, budget, report)
+        winding = growing.result()
+    samples, record = _signed(samples, winding, lattice, oriented=oriented, options=options, report=report)
+    _warn(record, inside_out=diagnosis.has("inside-out"), holes=options.open)
 
-    bricks = _bricks(samples, surface, lattice, record)
+    bricks = _bricks(samples, winding, lattice, record)
     named = replace(samples, face=_mesh_faces(samples.face, surface, refined))
     channels = _texture(mesh, lattice, bricks, named, options, report)
     if "grid" in options.modes:
@@ -159,8 +163,15 @@ def bake(
         face=channels.get("face"),
         surface=channels.get("surface"),
         layers=channels.get("layers"),
-        error=brick_errors(xp, bricks, samples.distance, samples.centre, lattice.spacing),
+        error=brick_errors(xp, bricks, samples.distance, samples.probe, lattice.spacing),
     )
+
+
+def _checked(mesh: Mesh) -> Surface:
+    """Return a mesh made ready, unless there is nothing in it that could be."""
+    if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+        diagnose(mesh).require_bakeable()
+    return Surface.of(mesh)
 
 
 def _lattice(mesh: Mesh, resolution: int, options: Options, cube: bool) -> Lattice:
@@ -188,47 +199,42 @@ def _sampled(xp: Engine, target: Target, lattice: Lattice, budget: memory.Budget
     at_once = budget.bricks_at_once(count)
     distance = np.empty((count, SIDE**3), np.float32)
     face = np.empty((count, SIDE**3), np.int32)
-    centre = np.empty((count, 64), np.float32)
+    probe = np.empty((count, 64, len(PROBES)), np.float32)
     kept, end = np.zeros(count, bool), 0
     report("closest faces", 0)
     for part, band in filled(xp, target, found, REACH, lattice.spacing, at_once) if found else ():
         good = (band.face >= 0).any(axis=1)
         start, end = end, end + int(np.count_nonzero(good))
         kept[part], distance[start:end], face[start:end] = good, band.distance[good], band.face[good]
-        centre[start:end] = band.centre[good]
+        probe[start:end] = band.probe[good]
         report("closest faces", part.stop / count)
     index = places(found)[kept] if found else np.zeros((0, 3), np.int32)
     shape = (end, SIDE, SIDE, SIDE)
     distance = distance[:end].reshape(shape)
     distance[~in_lattice(index, lattice.shape)] = 0
-    return _Samples(index, distance, face[:end].reshape(shape), centre[:end].reshape(end, 4, 4, 4))
+    return _Samples(index, distance, face[:end].reshape(shape), probe[:end].reshape(end, 4, 4, 4, -1))
 
 
 def _signed(
-    samples: _Samples,
-    surface: Surface,
-    lattice: Lattice,
-    normals: Pseudonormals | None,
-    options: Options,
-    report: Progress,
+    samples: _Samples, winding: Winding, lattice: Lattice, *, oriented: bool, options: Options, report: Progress
 ) -> tuple[_Samples, Sign]:
     """Check the signs that the samples have, or give them some."""
     if options.shell:
         return samples, Sign(method="exact")
-    if normals is not None:
-        record = sides.compared(surface, lattice, samples.index, samples.distance)
+    if oriented:
+        record = sides.compared(winding, lattice, samples.index, samples.distance)
         if record.disagree <= sides.DISAGREEMENT or options.sign == "pseudonormal":
             return samples, record
-    distance, record = sides.wound(surface, lattice, samples.index, samples.distance, report)
+    distance, record = sides.wound(winding, lattice, samples.index, samples.distance, report)
     return replace(samples, distance=distance), record
 
 
-def _bricks(samples: _Samples, surface: Surface, lattice: Lattice, sign: Sign) -> Bricks:
+def _bricks(samples: _Samples, winding: Winding, lattice: Lattice, sign: Sign) -> Bricks:
     """Return the table of bricks, with bounds where there are none."""
     present = np.zeros(counts(lattice.shape), bool)
     present[tuple(samples.index.T)] = True
-    winding = Winding.of(surface) if sign.method == "winding" else None
-    return Bricks.of(present, far_bounds(present, samples.index, samples.distance, REACH, lattice, winding))
+    torn = winding if sign.method == "winding" else None
+    return Bricks.of(present, far_bounds(present, samples.index, samples.distance, REACH, lattice, torn))
 
 
 def _texture(
@@ -267,11 +273,11 @@ def _by_face(values: Int[np.ndarray, " f"], face: Int[np.ndarray, "k 8 8 8"], ki
     return known
 
 
-def _warn(sign: Sign, *, inside_out: bool) -> None:
+def _warn(sign: Sign, *, inside_out: bool, holes: bool) -> None:
     """Tell the user what the signs rest on."""
     if inside_out:
         warnings.warn("the mesh is inside out: its inside is taken to be what it encloses", stacklevel=3)
-    if sign.disagree > sides.DISAGREEMENT:
+    if sign.disagree > sides.DISAGREEMENT and not holes:  # pseudonormals mean nothing beside a hole
         warnings.warn(
             f"the signs by {sign.method} differ from another method's on {sign.disagree:.2%} of {sign.checked} samples:"
             " the mesh overlaps itself or is not oriented; see 'python -m sdfbake check'",

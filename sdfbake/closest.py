@@ -16,7 +16,8 @@ from sdfbake import triangle
 from sdfbake.complaint import BadInput
 from sdfbake.engine.numpy import NumpyEngine
 from sdfbake.mesh import Mesh
-from sdfbake.topology import Topology, twice_areas
+from sdfbake.topology import Topology
+from sdfbake.topology import normals as normals_of
 
 # Weights of corners that are zero but for rounding: the rounding of a foot point is a few eps of the face's size.
 _ROUNDING = 1e-10
@@ -68,10 +69,10 @@ class Surface:
         Unit frame.
     faces, ids
         Faces with an area, and their numbers in the mesh.
+    normals
+        Twice the area of `faces` as vectors, unit frame, components first.
     topology
         Edges of `faces`.
-    least_of_edge, least_of_vertex
-        Lowest of `faces` on every edge and around every vertex.
     """
 
     centre: Float[np.ndarray, "3"]
@@ -79,13 +80,12 @@ class Surface:
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     ids: Int[np.ndarray, " f"]
+    normals: Float[np.ndarray, "3 f"]
     topology: Topology
-    least_of_edge: Int[np.ndarray, " e"]
-    least_of_vertex: Int[np.ndarray, " v"]
 
     @staticmethod
-    def of(mesh: Mesh, topology: Topology | None = None) -> "Surface":
-        """Build the tables; `topology` is that of all faces, if it is known already.
+    def of(mesh: Mesh) -> "Surface":
+        """Build the tables.
 
         Raises
         ------
@@ -95,15 +95,36 @@ class Surface:
         low, high = mesh.bounds
         centre, scale = (low + high) / 2, float(2.0 ** np.ceil(np.log2(max((high - low).max() / 2, 1e-300))))
         vertices = np.ascontiguousarray((mesh.vertices - centre) / scale)
-        ids = np.flatnonzero(twice_areas(vertices, mesh.faces) > 0)
+        normals = normals_of(vertices, mesh.faces)
+        proper = (normals * normals).sum(axis=0) > 0
+        ids = np.flatnonzero(proper)
         if len(ids) == 0:
-            raise BadInput("no face of the mesh has an area: export a surface mesh")
-        faces = np.ascontiguousarray(mesh.faces[ids])
-        if topology is None or len(faces) < len(mesh.faces):
-            topology = Topology.of(faces)
-        least_of_edge = _least(topology.edge, len(topology.edges))
-        least_of_vertex = _least(faces, len(vertices))
-        return Surface(centre, scale, vertices, faces, ids, topology, least_of_edge, least_of_vertex)
+            raise BadInput(f"the mesh is empty: {len(mesh.faces)} faces without area: export a surface mesh")
+        faces = mesh.faces
+        if len(ids) < len(faces):
+            faces, normals = np.ascontiguousarray(faces[ids]), normals[:, proper]
+        return Surface(centre, scale, vertices, faces, ids, normals, Topology.of(faces))
+
+    @cached_property
+    def area(self) -> float:
+        """World units, squared."""
+        return float(np.sqrt((self.normals * self.normals).sum(axis=0)).sum() / 2 * self.scale**2)
+
+    @cached_property
+    def volume(self) -> float:
+        """What a closed mesh encloses, unit frame; negative if its faces look inwards."""
+        a = self.vertices[self.faces[:, 0]] - self.vertices.mean(axis=0)
+        return float((a.T * self.normals).sum() / 6)
+
+    @cached_property
+    def least_of_edge(self) -> Int[np.ndarray, " e"]:
+        """Lowest of `faces` on every edge."""
+        return _least(self.topology.edge, len(self.topology.edges))
+
+    @cached_property
+    def least_of_vertex(self) -> Int[np.ndarray, " v"]:
+        """Lowest of `faces` around every vertex."""
+        return _least(self.faces, len(self.vertices))
 
     @cached_property
     def _tree(self) -> Any:

@@ -9,9 +9,10 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from sdfbake.closest import Surface
 from sdfbake.complaint import BadInput
 from sdfbake.mesh import Mesh
-from sdfbake.topology import Topology, signed_volume, twice_areas
+from sdfbake.topology import Topology, twice_areas
 
 Consequence = Literal["refused", "repairable", "noted"]
 
@@ -97,25 +98,27 @@ class Diagnosis:
         return {"verdict": verdict, "findings": [asdict(finding) for finding in self.findings]}
 
 
-def diagnose(mesh: Mesh, topology: Topology | None = None) -> Diagnosis:
+def diagnose(mesh: Mesh, surface: Surface | None = None) -> Diagnosis:
     """Look for everything that can be told from the arrays alone (self-intersections: `sdfbake.repair.crossings`).
 
     Parameters
     ----------
     mesh
         Any mesh; non-finite or empty ones end the search at once.
-    topology
-        Of all its faces, if it is known already.
+    surface
+        The mesh made ready, if that was done already; else as much of it as is needed is done here.
     """
     if len(mesh.faces) == 0:
         return Diagnosis((Finding("empty", 0, "faces", None, "refused"),))
     broken = ~np.isfinite(mesh.vertices).all(axis=1)
     if broken.any():
         return Diagnosis((Finding("non-finite", int(broken.sum()), "vertices", None, "refused"),))
-    degenerate = twice_areas(mesh.vertices, mesh.faces) == 0
-    if degenerate.all():
+    degenerate = np.ones(len(mesh.faces), bool)
+    if surface is None and not twice_areas(mesh.vertices, mesh.faces).any():
         return Diagnosis((Finding("empty", len(mesh.faces), "faces without area", None, "refused"),))
-    return Diagnosis(tuple(_vertex_and_face_findings(mesh, degenerate) + _edge_findings(mesh, topology)))
+    surface = surface or Surface.of(mesh)
+    degenerate[surface.ids] = False
+    return Diagnosis(tuple(_vertex_and_face_findings(mesh, degenerate) + _edge_findings(mesh, surface)))
 
 
 def _vertex_and_face_findings(mesh: Mesh, degenerate: Bool[np.ndarray, " f"]) -> list[Finding]:
@@ -141,11 +144,10 @@ def _repeated(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
     return repeated
 
 
-def _edge_findings(mesh: Mesh, topology: Topology | None) -> list[Finding]:
+def _edge_findings(mesh: Mesh, surface: Surface) -> list[Finding]:
     """Find what edges show, on the faces with three different vertices."""
     faces = proper(mesh.faces)
-    if topology is None or len(faces) < len(mesh.faces):
-        topology = Topology.of(faces)
+    topology = surface.topology if len(surface.faces) == len(faces) else Topology.of(faces)
     edges = topology.edges
     found = [
         _finding("flipped", "edges", _middles(mesh, edges[topology.flipped_edges]), "repairable"),
@@ -155,7 +157,7 @@ def _edge_findings(mesh: Mesh, topology: Topology | None) -> list[Finding]:
     if not any(finding.count for finding in found):
         pinched = mesh.vertices[topology.pinched_vertices(faces)]
         found = [_finding("non-manifold", "vertices", pinched, "noted")]
-        if signed_volume(mesh.vertices, faces) < 0:
+        if surface.volume < 0:
             found.append(_finding("inside-out", "faces", _middles(mesh, faces), "repairable"))
     return [finding for finding in found if finding.count]
 

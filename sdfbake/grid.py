@@ -62,7 +62,8 @@ class Grid:
         Texture coordinates chart by chart; None where they were not asked for.
     error
         Per brick, for each of `KERNELS`, the greatest difference between the interpolated and the exact distance at
-        the centres of cells with surface, voxels, float32; 0 where the brick has none of those. None where there is
+        two places of one in eight cells with surface, voxels, float32; 0 where the brick has none of those. None where
+        there is
         nothing to compare with.
     """
 

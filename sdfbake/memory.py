@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from sdfbake.bricks import SIDE, counts
+from sdfbake.closest import Surface
 from sdfbake.complaint import BadInput
 from sdfbake.lattice import Lattice
-from sdfbake.mesh import Mesh
-from sdfbake.topology import twice_areas
 
 GIB = 1 << 30
+MOST_BRICKS = (1 << 22) - 1  # a sample's number in the channels is a 32-bit integer
 _FACE = 1200  # bytes of tables, tree and normals of a face, with room to spare
 _FIXED = 250 << 20  # the libraries, and what the coarse levels take
 _TABLE = 40  # bytes of tables per brick of the lattice, present or not, while they are made
@@ -64,15 +64,14 @@ class Budget:
     resolution: int
 
     @staticmethod
-    def of(limit: float | None, mesh: Mesh, lattice: Lattice, modes: tuple[str, ...] = ()) -> "Budget":
+    def of(limit: float | None, surface: Surface, lattice: Lattice, modes: tuple[str, ...], parts: int) -> "Budget":
         """Estimate; `limit` in gigabytes (2^30 bytes), None for what the machine has."""
         bricks = prod(counts(lattice.shape))
         # A brick is crossed by no more surface than 8^2 voxels' worth on average; tight folds may share one: a half.
-        area = twice_areas(mesh.vertices, mesh.faces).sum() / 2 / lattice.spacing**2
         per_sample = 4 + 4 + (12 if "grid" in modes else 0) + (18 if "layers" in modes else 0)
-        per_sample += 1 if len(mesh.part_names) > 1 else 0
-        fixed = _FIXED + _TABLE * bricks + _FACE * len(mesh.faces)
-        least = min(area / SIDE**2 / 2, bricks)
+        per_sample += 1 if parts > 1 else 0
+        fixed = _FIXED + _TABLE * bricks + _FACE * len(surface.faces)
+        least = min(surface.area / lattice.spacing**2 / SIDE**2 / 2, bricks)
         bytes_ = available() if limit is None else limit * GIB
         return Budget(bytes_, limit is not None, fixed, least, per_sample * SIDE**3, max(lattice.shape))
 
@@ -88,6 +87,10 @@ class Budget:
 
     def bricks_at_once(self, count: int) -> int:
         """Return how many of `count` bricks to work on together; refuse what would not fit even so (BadInput)."""
+        if count > MOST_BRICKS:
+            raise BadInput(
+                f"resolution {self.resolution} needs {count} bricks and a grid holds {MOST_BRICKS}: lower it"
+            )
         channels = count * self.per_brick
         self._require(self.fixed + channels + _FEWEST * _WORKED)
         return int(np.clip((self.limit - self.fixed - channels) // _WORKED, _FEWEST, _MOST))

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from sdfbake.bricks import in_lattice, sample_index
-from sdfbake.closest import Surface
 from sdfbake.lattice import BAND, Lattice
 from sdfbake.metadata import Sign
 from sdfbake.sign import Pseudonormals, Winding
@@ -24,23 +23,23 @@ Progress = Callable[[str, float], None]
 
 
 def compared(
-    surface: Surface, lattice: Lattice, index: Int[np.ndarray, "k 3"], distance: Float[np.ndarray, "k 8 8 8"]
+    winding: Winding, lattice: Lattice, index: Int[np.ndarray, "k 3"], distance: Float[np.ndarray, "k 8 8 8"]
 ) -> Sign:
     """Compare signs by pseudonormals with winding numbers on an even choice of the band's samples."""
     points, given = _chosen(lattice, index, distance)
-    other = Winding.of(surface).signs(points)
+    other = winding.signs(points)
     return Sign(method="pseudonormal", checked=len(given), disagree=_share(other != given))
 
 
 def wound(
-    surface: Surface,
+    winding: Winding,
     lattice: Lattice,
     index: Int[np.ndarray, "k 3"],
     distance: Float[np.ndarray, "k 8 8 8"],
     report: Progress,
 ) -> tuple[Float[np.ndarray, "k 8 8 8"], Sign]:
     """Return distances with the signs of winding numbers, compared with those of pseudonormals on some samples."""
-    winding, signed = Winding.of(surface), np.abs(distance)
+    signed, surface = np.abs(distance), winding.surface
     for start in range(0, len(index), _BRICKS_AT_ONCE):
         report("signs", start / len(index))
         part = slice(start, start + _BRICKS_AT_ONCE)

@@ -13,8 +13,10 @@ from jaxtyping import Float, Int
 
 from sdfbake import triangle
 from sdfbake.closest import Closest, Surface
-from sdfbake.topology import corners, cross, signed_volume
+from sdfbake.topology import corners, cross
 
+_FLOAT32 = 1e-6  # more than the rounding of stored distances: on a straight line through a face the sums are equal
+_ROUGH = 0.02  # twice what the tree's winding numbers are off by
 _BLOCK = 4  # samples along the side of a block that is given one winding number, where the distances allow it
 
 
@@ -44,8 +46,7 @@ class Pseudonormals:
     def of(surface: Surface) -> "Pseudonormals":
         """Compute the normals of all features."""
         p = corners(surface.vertices, surface.faces)
-        normal = cross(p[1] - p[0], p[2] - p[0])
-        normal /= np.sqrt((normal * normal).sum(axis=0))
+        normal = surface.normals / np.sqrt((surface.normals * surface.normals).sum(axis=0))
         of_edge = np.zeros((3, len(surface.topology.edges)))
         of_vertex = np.zeros((3, len(surface.vertices)))
         for k in range(3):
@@ -56,7 +57,7 @@ class Pseudonormals:
             for axis in range(3):
                 of_edge[axis] += np.bincount(edge, normal[axis], of_edge.shape[1])
                 of_vertex[axis] += np.bincount(vertex, angle * normal[axis], of_vertex.shape[1])
-        outward = -1 if signed_volume(surface.vertices, surface.faces) < 0 else 1
+        outward = -1 if surface.volume < 0 else 1
         of_face, edges, vertices = (np.ascontiguousarray(v.T) for v in (normal, of_edge, of_vertex))
         return Pseudonormals(surface, of_face, edges, vertices, outward)
 
@@ -79,9 +80,21 @@ class Pseudonormals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Winding:
-    """Thresholded winding numbers of a mesh that need not be clean."""
+    """Thresholded winding numbers of a mesh that need not be clean.
+
+    Attributes
+    ----------
+    surface
+        The mesh.
+    rim
+        Edges at which the faces' orientations do not cancel: boundaries of holes, and sides of flipped faces.
+    rim_length
+        Length of the rim, unit frame, counted as often as orientations are in excess.
+    """
 
     surface: Surface
+    rim: Int[np.ndarray, "r 2"]
+    rim_length: float
     _tree: Any
 
     @staticmethod
@@ -90,32 +103,66 @@ class Winding:
         import igl  # here, so that `import sdfbake` is light
 
         tree = igl.FastWindingNumberBVH()
-        tree.init(surface.vertices, surface.faces)
-        return Winding(surface, tree)
+        topology = surface.topology
+        faces = surface.faces if (topology.faces_per_edge == 2).all() else _distinct(surface.faces)
+        tree.init(surface.vertices, faces)
+        direction = np.where(topology.forward, 1.0, -1.0).reshape(-1)
+        excess = np.abs(np.bincount(topology.edge.reshape(-1), direction, len(topology.edges)))
+        rim = topology.edges[excess > 0]
+        ends = surface.vertices[rim]
+        length = float((np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) * excess[excess > 0]).sum())
+        return Winding(surface, rim, length, tree)
+
+    def numbers(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Return winding numbers, right to about a hundredth."""
+        q = np.ascontiguousarray(self.surface.to_unit(p))
+        return np.asarray(self._tree.winding_number(q), np.float64).reshape(-1)
 
     def signs(self, p: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
         """Return -1 where |winding number| > 1/2, int8."""
-        q = np.ascontiguousarray(self.surface.to_unit(p))
-        w = np.asarray(self._tree.winding_number(q)).reshape(-1)
-        return np.where(np.abs(w) > 0.5, -1, 1).astype(np.int8)
+        return np.where(np.abs(self.numbers(p)) > 0.5, -1, 1).astype(np.int8)
 
     def brick_signs(
         self, p: Float[np.ndarray, "k 8 8 8 3"], distance: Float[np.ndarray, "k 8 8 8"]
     ) -> Int[np.ndarray, "k 8 8 8"]:
         """Return the signs of whole bricks with few queries.
 
-        Two points have the same sign if the surface is farther from them than they are from each other together:
-        |d_1| + |d_2| > |p_1 - p_2|. The farthest sample of every block of 4^3 speaks for those.
+        No face lies between two points if the surface is farther from them than they are from each other together:
+        |d_1| + |d_2| > |p_1 - p_2|. Off the faces the winding number changes only with the solid angle of the rim, by
+        at most its length over 4 pi r^2 per unit of way at a distance r from it (the law of Biot and Savart). So the
+        farthest sample of every block of 4^3 speaks for those it is near enough to.
         """
         p, d = _blocks(p), _blocks(distance[..., None])[..., 0]
         speaker = d.argmax(axis=1)[:, None]
         reach = np.take_along_axis(d, speaker, axis=1)
         centre = np.take_along_axis(p, speaker[..., None], axis=1)
-        spoken = d + reach > np.linalg.norm(p - centre, axis=-1) * (1 + 1e-9)
-        sign = np.repeat(self.signs(centre[:, 0])[:, None], d.shape[1], axis=1)
+        way = np.linalg.norm(p - centre, axis=-1)
+        number = np.abs(self.numbers(centre[:, 0]))
+        spoken = d + reach > way * (1 + _FLOAT32)
+        if len(self.rim):
+            spoken &= self._change(centre[:, 0], way) < np.abs(number - 0.5)[:, None] - _ROUGH
+        sign = np.repeat(np.where(number > 0.5, -1, 1).astype(np.int8)[:, None], d.shape[1], axis=1)
         if not spoken.all():
             sign[~spoken] = self.signs(p[~spoken])
         return _unblocks(sign, distance.shape)
+
+    def _change(self, p: Float[np.ndarray, "m 3"], way: Float[np.ndarray, "m 64"]) -> Float[np.ndarray, "m 64"]:
+        """Return the most that the winding number can change by on ways from some points that meet no face."""
+        import igl
+
+        q = np.ascontiguousarray(self.surface.to_unit(p))
+        square = igl.point_mesh_squared_distance(q, self.surface.vertices, np.ascontiguousarray(self.rim))[0]
+        step = way / self.surface.scale
+        away = (np.sqrt(np.asarray(square))[:, None] - step).clip(1e-12)
+        change: Float[np.ndarray, "m 64"] = step * self.rim_length / (4 * np.pi * away * away)
+        return change
+
+
+def _distinct(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "g 3"]:
+    """Return every face once, if it looks the same way: repetitions count in winding numbers."""
+    start = faces.argmin(axis=1)
+    turned = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1)
+    return faces[np.sort(np.unique(turned, axis=0, return_index=True)[1])]
 
 
 def _blocks(v: np.ndarray) -> np.ndarray:

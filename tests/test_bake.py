@@ -1,8 +1,10 @@
-"""Baked meshes against a brute-force float64 oracle that shares no code with the baker."""
+"""What a bake answers, warns of and refuses; sample by sample it is checked in `test_band`."""
 
+import adversarial
 import numpy as np
 import pytest
 import trimesh
+from adversarial import every_distance, in_pieces, winding
 
 from sdfbake import BadInput, Mesh, bake
 from sdfbake.bricks import REACH, in_lattice, sample_index
@@ -15,96 +17,41 @@ from sdfbake.sign import Winding
 RESOLUTION = 24
 
 
-def ball(subdivisions=2, *, centre=(0.0, 0, 0), radius=1.0, inward=False):
-    shape = trimesh.creation.icosphere(subdivisions)
-    faces = shape.faces[:, ::-1] if inward else shape.faces
-    return Mesh(np.asarray(shape.vertices) * radius + centre, faces)
+def ball(subdivisions=2, **options):
+    return adversarial.ball(subdivisions, **options).with_(uv=None)
 
 
 def joined(*meshes):
-    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]
-    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+    return adversarial.joined(*meshes).with_(uv=None)
 
 
 def rotated_box():
-    box = trimesh.creation.box((1.0, 0.7, 0.4))
-    turn = trimesh.transformations.euler_matrix(0.3, 0.5, 0.7)[:3, :3]
-    return Mesh(np.asarray(box.vertices) @ turn.T, box.faces)
-
-
-def oracle(mesh, points):
-    """Return every face's unsigned distance from every point (n, f), by Lagrange multipliers on each sub-simplex.
-
-    A closest point is the unconstrained one of the plane, of an edge's line or of a corner, whichever is feasible and
-    nearest: solved as normal equations, unlike the baker's cross products and projections.
-    """
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    best = np.full((len(points), len(mesh.faces)), np.inf)
-    for corner in (a, b, c):
-        best = np.minimum(best, np.linalg.norm(points[:, None] - corner, axis=-1))
-    for start, end in ((a, b), (b, c), (c, a)):
-        t = ((points[:, None] - start) * (end - start)).sum(-1) / ((end - start) ** 2).sum(-1)
-        away = np.linalg.norm(points[:, None] - start - t[..., None] * (end - start), axis=-1)
-        best = np.where((t >= 0) & (t <= 1), np.minimum(best, away), best)
-    u, v, w = b - a, c - a, points[:, None] - a
-    gram = np.stack([(u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)])
-    right = np.stack([(w * u).sum(-1), (w * v).sum(-1)])
-    det = gram[0] * gram[2] - gram[1] ** 2
-    s = (gram[2] * right[0] - gram[1] * right[1]) / det
-    t = (gram[0] * right[1] - gram[1] * right[0]) / det
-    away = np.linalg.norm(w - s[..., None] * u - t[..., None] * v, axis=-1)
-    return np.where((s >= 0) & (t >= 0) & (s + t <= 1), np.minimum(best, away), best)
+    return adversarial.box(1.0, 0.7, 0.4, turned=True).with_(uv=None)
 
 
 def solid_angle_sign(mesh, points):
-    """Return -1 inside by the exact winding number (van Oosterom and Strackee 1983)."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] - points[:, None] for k in range(3))
-    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
-    top = (a * np.cross(b, c)).sum(-1)
-    bottom = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
-    w = np.arctan2(top, bottom).sum(axis=1) / (2 * np.pi)
-    return np.where(np.abs(w) > 0.5, -1, 1)
+    """Return -1 inside, by the exact winding number."""
+    return np.where(np.abs(winding(mesh, points)) > 0.5, -1, 1)
 
 
 MESHES = {
     "ball": ball(),
-    "off centre": ball(1, centre=(1000.0, -500, 3), radius=0.02),
     "box": rotated_box(),
     "nested": joined(ball(2), ball(1, radius=0.5, inward=True)),
-    "two": joined(ball(1), ball(1, centre=(2.5, 0.3, 0))),
     "inverted": ball(2, inward=True),
-    "one inverted": joined(ball(1), ball(1, centre=(2.5, 0.3, 0), inward=True)),
     "overlapping": joined(ball(1), ball(1, centre=(0.9, 0.1, 0.05))),
-    "flat": Mesh(ball(2).vertices * [1, 1, 1e-3], ball(2).faces),
 }
 
 
-@pytest.mark.filterwarnings("ignore:the (mesh is inside out|signs by)")
-@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
-def test_distances_and_signs(mesh):
-    grid = bake(mesh, RESOLUTION)
-    points, distance = grid.samples()
-    chosen = np.random.default_rng(0).permutation(len(points))[:1500]
-    points, distance = points[chosen], distance[chosen]
-    true = oracle(mesh, points).min(axis=1)
-    # float32 rounds at 2^-24; a world position rounds at eps |p| on its way to and from the grid's frame.
-    tolerance = true * 2.0**-24 + 8 * np.finfo(float).eps * np.abs(mesh.vertices).max()
-    assert (np.abs(np.abs(distance) - true) <= tolerance).all()
-    clear = true > 1e-9
-    assert (np.sign(distance) == solid_angle_sign(mesh, points))[clear].all()
-
-
-@pytest.mark.parametrize("name", ["ball", "box", "nested", "flat"])
-def test_no_sample_of_the_band_is_missing(name):
+@pytest.mark.parametrize("name", ["ball", "box"])
+def test_dense_samples_are_exact_in_the_band_and_bounds_beyond(name):
     mesh = MESHES[name]
     grid = bake(mesh, 20)
     index = np.moveaxis(np.indices(grid.lattice.shape), 0, -1).reshape(-1, 3)
-    true = np.concatenate([oracle(mesh, p).min(axis=1) for p in np.array_split(grid.lattice.to_world(index), 20)])
+    true = in_pieces(lambda p: every_distance(mesh, p).min(axis=1), grid.lattice.to_world(index))
     near = true <= REACH * grid.lattice.spacing * (1 - 1e-12)
-    assert (grid.bricks.slot[tuple((index[near] // 8).T)] >= 0).all()
     assert len(grid.samples()[0]) == np.count_nonzero(true.astype(np.float32) <= BAND * grid.lattice.spacing)
-    # What is beyond is a lower bound: of absent bricks, and of the samples of a brick that nobody asked the tree for.
+    # Absent bricks hold a lower bound, and so do the samples of a brick that are out of reach.
     dense = np.abs(grid.to_dense().reshape(-1))
     assert (dense <= true * (1 + 2.0**-24)).all()
     assert (dense[~near] > (REACH - 2) * grid.lattice.spacing).all()
@@ -159,7 +106,7 @@ def test_lowest_face_wins_ties():
     edges = np.unique(np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
     middle = mesh.vertices[edges].mean(axis=1)
     out = np.concatenate([mesh.vertices, middle]) * 1.3
-    every = oracle(mesh, out)
+    every = every_distance(mesh, out)
     # Twelve digits: far above rounding (1e-16), far below any true difference here.
     lowest = (every <= every.min(axis=1, keepdims=True) * (1 + 1e-12)).argmax(axis=1)
     at = closest(mesh, out)
@@ -192,7 +139,7 @@ def test_uv_chart_and_part_of_the_closest_point():
     near = (np.abs(grid.distance) <= BAND * grid.lattice.spacing) & in_lattice(grid.bricks.index, grid.lattice.shape)
     p = grid.lattice.to_world(sample_index(grid.bricks.index)[near])
     chosen = np.random.default_rng(0).permutation(len(p))[:1500]
-    every = oracle(mesh, p[chosen])
+    every = every_distance(mesh, p[chosen])
     face = every.argmin(axis=1)
     clear = np.partition(every, 1, axis=1)  # only where one face is nearest are the oracle's ids the only right ones
     clear = clear[:, 1] > clear[:, 0] + 1e-9

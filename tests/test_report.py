@@ -1,10 +1,12 @@
 """The report from made-up runs: complete, self-contained, the same bytes twice; and what the sections say."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import click.testing
 import numpy as np
 import pytest
+from contest import baking_runs
 
 from sdfbake.complaint import BadInput
 from validate.__main__ import cli
@@ -12,7 +14,7 @@ from validate.experiment import Bench, Run, timed, write_runs
 from validate.metrics import FOOTPRINT, summary
 from validate.report import render, write_report
 from validate.section import number
-from validate.sections import convergence
+from validate.sections import convergence, representations
 from validate.suites import SUITES
 from validate.timing import Timing
 
@@ -52,13 +54,33 @@ def footprint_runs(bench: Bench) -> list[Run]:
     error = rng.random((16, 16)).astype(np.float16)
     error[:4] = np.nan
     artefact = bench.store("map", lod_error=error)
-    setups = [{"route": "baked grid", "kernel": kernel} for kernel in ("bspline", "linear")]
-    primary = [
-        Run("footprints", "bunny, primary rays", setup, {"resolution": 512}, "error", values, artefact=artefact)
-        for setup in setups
-    ]
+    primary = []
+    for uv, share in (("faces", 0.001), ("grid", 0.25)):
+        for kernel in ("bspline", "linear"):
+            setup, off = {"route": "baked grid", "uv": uv, "kernel": kernel}, {"lod_error.share>0.5": share}
+            run = Run("footprints", "bunny, primary rays", setup, {"resolution": 512}, "error", values | off)
+            primary.append(replace(run, artefact=artefact))
     mesh = Run("footprints", "torus, one mirror bounce", {"route": "mesh, facets"}, {}, "error", values)
     return [*primary, mesh]
+
+
+def representation_runs(bench: Bench) -> list[Run]:
+    """The bunny at two resolutions: faces all right, layers within what is asked for, grids wrong at a quarter."""
+    shares = {"faces": (0.0, 0.0), "layers": (0.004, 0.0009), "grid": (0.01, 0.25)}
+    rng = np.random.default_rng(4)
+    image = np.full((16, 16, 3), 128, np.uint8)
+    artefact = bench.store("view", image=image, lod_error=rng.random((16, 16)).astype(np.float16))
+    runs = []
+    for mode, (wrong, off) in shares.items():
+        setup = {"uv": mode, "kernel": "bspline"}
+        values = {f"{name}.{key}": figure for name in ("uv", "lod") for key, figure in summary(rng.random(9)).items()}
+        values |= {"points": 1e5, "wrong_chart": wrong, "seam": 0.0, "lod.share>0.5": off, "bytes": 4.2e6}
+        runs += [Run("representations", "bunny", setup, {"resolution": n}, "error", values) for n in (64, 256)]
+        view = Run("representations", "bunny, a view", setup, {"resolution": 64}, "error", {"lod.share>0.5": off})
+        runs.append(replace(view, artefact=artefact))
+        timing = Timing((0.25,), ())
+        runs.append(timed("representations", "bunny", setup, {"resolution": 256}, timing, rays=10**6))
+    return runs
 
 
 def engine_runs() -> list[Run]:
@@ -96,10 +118,12 @@ def lines(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs = [
         *figure_runs(bench),
         *footprint_runs(bench),
+        *representation_runs(bench),
         *convergence_runs(),
         *frontier_runs(),
         *engine_runs(),
         *opinion_runs(),
+        *baking_runs(),
         failed,
     ]
     write_runs(folder / "all.jsonl", runs)
@@ -142,6 +166,19 @@ def test_findings_are_written_from_the_numbers(page: str) -> None:
     assert "Of 1,000 samples, 3 have another sign" in page
     assert "20 times as fast as NumPy" in page  # 2 s over 0.1 s
     assert "swapped against the text" in page
+    assert "off by as much in 0.1 % against 25 % at 512³" in page
+    assert "wrong chart at 0.4 % of the points and a level of detail off by more than a half at 0.09 %; within" in page
+    assert "off by more than a half at 25 % of the points at 64³ (0.09 % as layers, 0 % as faces) and" in page
+    assert "4.2 MB as faces" in page and "0.25 µs as grid" in page
+
+
+def test_goals_that_are_missed_are_named() -> None:
+    setup, values = {"uv": "faces", "kernel": "bspline"}, {"points": 1e5, "seam": 0.0, "bytes": 1.0}
+    values |= {f"{name}.{key}": 0.1 for name in ("uv", "lod") for key in ("p50", "p95", "p99")}
+    values |= {"wrong_chart": 0.0, "lod.share>0.5": 2e-4}
+    found = representations.section([Run("representations", "bunny", setup, {"resolution": 256}, "error", values)])
+    assert "NOT within the 0.01 % and 0.01 % asked for" in found.finding[0]
+    assert found.headlines[0].figure == "0 % / 0.02 %"
 
 
 def test_orders_ignore_what_float32_rounding_hides() -> None:

@@ -1,4 +1,4 @@
-"""The command line of `python -m validate`: run experiments, write the report."""
+"""The command line of `python -m validate`: run experiments, write the report, list the tools to compare with."""
 
 import importlib
 import sys
@@ -24,8 +24,11 @@ def cli() -> None:
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="JSON lines, one run each.")
 @click.option("--build", default="build", show_default=True, type=click.Path(path_type=Path), help="Meshes and grids.")
 @click.option("--only", help="The one object to look at, for suites that look at several.")
+@click.option("--quick", is_flag=True, help="Small sizes only, for suites that have large ones.")
 @click.option("--json", "as_json", is_flag=True, help="Print a summary as one JSON object.")
-def run_suites(suites: tuple[str, ...], output: Path, build: Path, only: str | None, as_json: bool) -> None:
+def run_suites(
+    suites: tuple[str, ...], output: Path, build: Path, only: str | None, *, quick: bool, as_json: bool
+) -> None:
     """Run experiments and keep every result; arrays go beside OUTPUT as .npz files."""
     console = Console(stderr=True)
     begin = time.perf_counter()
@@ -33,7 +36,7 @@ def run_suites(suites: tuple[str, ...], output: Path, build: Path, only: str | N
     def progress(line: str) -> None:
         console.print(f"[dim]{time.perf_counter() - begin:6.1f} s[/dim]  {line}", highlight=False)
 
-    bench = Bench(build, output.parent, progress, only)
+    bench = Bench(build, output.parent, progress, only, quick)
     runs: list[Run] = []
     for suite in suites:
         runs.extend(importlib.import_module(f"validate.suites.{suite}").run(bench))
@@ -61,6 +64,22 @@ def report(runs: tuple[Path, ...], output: Path, as_json: bool) -> None:
         print_json({"output": str(path), "runs": len(found), "failed": sum(not one.ok for one in found)})
     else:
         print(f"the report of {len(found)} runs is in {path}", file=sys.stderr)
+
+
+@cli.command()
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def peers(as_json: bool) -> None:
+    """Say which other bakers can run here, and how to have the rest."""
+    from validate.peers.catalogue import PEERS, find
+
+    found = [find(peer) for peer in PEERS]
+    if as_json:
+        keys = ("python", "version", "problem")
+        record = [{key: getattr(one, key) for key in keys} | {"install": one.peer.install} for one in found]
+        print_json({"peers": dict(zip([peer.name for peer in PEERS], record, strict=True))})
+        return
+    for one in found:
+        print(f"{one.peer.name:10}{one.version or 'not here':12}{one.python or one.peer.install}")
 
 
 @cli.command()

@@ -105,12 +105,15 @@ class Bench:
         Told in one line what comes next.
     only
         Name of the one object to look at, for suites that look at several; None for all.
+    quick
+        Small sizes only, for suites that have large ones.
     """
 
     build: Path
     artefacts: Path
     progress: Callable[[str], None] = lambda _: None
     only: str | None = None
+    quick: bool = False
 
     def mesh(self, name: str) -> Path:
         """Path of a mesh of the build."""

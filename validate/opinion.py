@@ -23,7 +23,7 @@ def signed_distance(mesh: Mesh, points: Float[np.ndarray, "n 3"]) -> Float[np.nd
     BadInput
         If Open3D cannot be loaded on this machine.
     """
-    open3d = _open3d()
+    open3d = load_open3d()
     low, high = mesh.bounds
     centre, scale = (low + high) / 2, float((high - low).max()) / 2
     scene = open3d.t.geometry.RaycastingScene()
@@ -33,8 +33,14 @@ def signed_distance(mesh: Mesh, points: Float[np.ndarray, "n 3"]) -> Float[np.nd
     return np.asarray(scene.compute_signed_distance(asked).numpy().astype(np.float64) * scale)
 
 
-def _open3d() -> Any:
-    """Import Open3D; on a bare machine it lacks libusb, which a package of its own brings."""
+def load_open3d() -> Any:
+    """Import Open3D; on a bare machine it lacks libusb, which a package of its own brings.
+
+    Raises
+    ------
+    BadInput
+        If Open3D cannot be loaded on this machine.
+    """
     try:
         library = libusb_package.get_library_path()
         if library is not None:

@@ -193,20 +193,19 @@ class DrjitEngine:
     def _first_least(
         self, lists: Lists, lane: Sequence[Array], measure: Measures, tie: Callable[[Array], Array]
     ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Return the least measures and the first items that have them.
+        """Return the measures of the first items that are least, and these.
 
-        In one pass: an item takes the place of the first only if it is less beyond a tie, while the least goes down
-        all the time, so that many small steps do not lead away.
+        In one pass: an item takes the place of the first only if it is less beyond a tie.
         """
         of = measure(*lane)
         count = len(of(self.types.Int(0) * lists.start))
 
         def body(j: Array, *state: Array) -> tuple[Array, ...]:
             item = dr.gather(self.types.Int, lists.items, j)
-            least, first = state[:count], state[count:]
+            held, first = state[:count], state[count:]
             values = of(item)
-            less = [value < low - tie(low) for value, low in zip(values, least, strict=True)]
-            lower = [dr.minimum(low, value) for low, value in zip(least, values, strict=True)]
+            less = [value < low - tie(low) for value, low in zip(values, held, strict=True)]
+            lower = [dr.select(mask, value, low) for mask, value, low in zip(less, values, held, strict=True)]
             return j + 1, *lower, *(dr.select(mask, item, at) for mask, at in zip(less, first, strict=True))
 
         most = float(np.finfo(np.float32).max)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Bool, Shaped
 
 from validate import plots
 from validate.experiment import Run
@@ -17,8 +18,10 @@ ASKED = (
     "interpolated normals are contenders like the grids. Footprints are in texels of a 1024 x 1024 texture per pixel."
 )
 NOTES = (
-    "Texture coordinates are interpolated as Galim 2018 does it, across the cuts of the atlas too: pixels whose "
-    "stencil crosses a cut (SEAM) are wrong by construction. The tables give all pixels, and those inside charts.",
+    "Baked grids are read in two ways: as 'faces', texture coordinates are those of the closest face on either side "
+    "of a cut of the atlas; as 'grid', they are interpolated as Galim 2018 does it, across the cuts too, and pixels "
+    "whose stencil crosses a cut (SEAM) are wrong by construction. Grids sampled from exact shapes know 'grid' only. "
+    "The tables give all pixels, and those inside charts and off seams, which are fewer and easier as 'grid'.",
     "A mesh with interpolated normals is not an optical surface; it stands here for what renderers do today.",
 )
 COLUMNS = (
@@ -89,9 +92,10 @@ def _ordered(runs: Sequence[Run]) -> list[Run]:
 
 
 def label(run: Run) -> str:
-    """Name of a setup: route, kernel, resolution."""
+    """Name of a setup: route, which texture coordinates are read, kernel, resolution."""
     resolution = f"{run.knob['resolution']:g}³" if "resolution" in run.knob else ""
-    return ", ".join(word for word in (run.setup["route"], run.setup.get("kernel", ""), resolution) if word)
+    read = f"uv as {run.setup['uv']}" if "uv" in run.setup else ""
+    return ", ".join(word for word in (run.setup["route"], read, run.setup.get("kernel", ""), resolution) if word)
 
 
 def _table(
@@ -113,18 +117,18 @@ def _maps(problem: str, found: Sequence[Run]) -> list[Picture]:
     for run in found:
         if run.artefact:
             with np.load(run.artefact, allow_pickle=False) as arrays:
-                panels.append(Map(label(run), arrays["lod_error"].astype(np.float32)))
+                panels.append(Map(label(run).replace(", ", "\n", 1), arrays["lod_error"].astype(np.float32)))
     if not panels:
         return []
     seen = np.any([np.isfinite(panel.values) for panel in panels], axis=0)
-    panels = [Map(panel.title, _cropped(panel.values, seen)) for panel in panels]
+    panels = [Map(panel.title, cropped(panel.values, seen)) for panel in panels]
     text = f"{problem}: error of the level of detail per pixel; pale where there is nothing to compare."
-    columns = 5 if len(panels) > 4 else 4
+    columns = 4 if len(panels) % 4 == 0 or len(panels) < 4 else 5
     return [Picture(plots.maps(panels, "|LoD - LoD*|, mip levels", LIMITS, columns), text)]
 
 
-def _cropped(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """The rows and columns that hold anything, and a few around them."""
+def cropped(values: Shaped[np.ndarray, "h w ..."], seen: Bool[np.ndarray, "h w"]) -> Shaped[np.ndarray, "h2 w2 ..."]:
+    """The rows and columns of an image or a map where something is seen, and a few around them."""
     rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
     if len(rows) == 0:
         return values
@@ -146,7 +150,29 @@ def _finding(problem: str, found: Sequence[Run]) -> str:
         worst = max(grids, key=lambda run: run.values["lod_error.share>0.5"])
         share = percent(worst.values["lod_error.share>0.5"])
         sentence += f"; the worst grid, {label(worst)}, is off by more than half a level in {share} of all pixels"
-    return sentence + "."
+    # Behind a curved mirror the facets of a baked grid decide, however its texture coordinates are read.
+    costs = _costs(grids) if "primary" in problem else []
+    return ". ".join([sentence, *costs]) + "."
+
+
+def _costs(grids: Sequence[Run]) -> list[str]:
+    """What reading the same baked grid as Galim 2018 does costs, by resolution."""
+    share = {
+        (run.knob["resolution"], run.setup["uv"]): run.values["lod_error.share>0.5"]
+        for run in grids
+        if run.setup["route"] == "baked grid" and run.setup["kernel"] == "bspline"
+    }
+    pairs = [
+        (n, share[n, "faces"], share[n, "grid"])
+        for n in sorted({n for n, _ in share})
+        if {(n, "faces"), (n, "grid")} <= set(share)
+    ]
+    if not pairs:
+        return []
+    words = " and ".join(f"{percent(faces)} against {percent(grid)} at {n:g}³" for n, faces, grid in pairs)
+    return [
+        f"Read by faces instead of interpolated, baked texture coordinates are off by as much in {words} (B-spline)"
+    ]
 
 
 def _headlines(problems: dict[str, list[Run]]) -> tuple[Headline, ...]:
@@ -154,9 +180,13 @@ def _headlines(problems: dict[str, list[Run]]) -> tuple[Headline, ...]:
     for problem, found in problems.items():
         for run in found:
             fine = run.setup.get("kernel") == "bspline" and run.knob.get("resolution") == 512
-            if fine and "inside.lod_error.p50" in run.values:
+            default = run.setup["route"] != "baked grid" or run.setup["uv"] == "faces"
+            if fine and default and "inside.lod_error.p50" in run.values:
                 truth = "the mesh by Embree" if "primary" in problem else "the exact shape, closed form"
                 p50, p95 = (number(run.values[f"inside.lod_error.{name}"]) for name in ("p50", "p95"))
-                what = f"{problem}, {run.setup['route']} 512³, B-spline: level-of-detail error inside charts, p50 / p95"
+                what = (
+                    f"{problem}, {run.setup['route']} 512³, uv as {run.setup['uv']}, B-spline: level-of-detail error "
+                    "inside charts, p50 / p95"
+                )
                 lines.append(Headline(what, f"{p50} / {p95}", truth))
     return tuple(lines)

@@ -3,4 +3,4 @@
 Each file has `run(bench) -> Iterator[Run]` and is imported only when it is asked for.
 """
 
-SUITES = ("figures", "footprints", "convergence", "frontier", "engines", "opinion")
+SUITES = ("figures", "footprints", "representations", "convergence", "frontier", "engines", "opinion", "baking")

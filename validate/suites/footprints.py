@@ -2,12 +2,14 @@
 
 In: build/meshes/NAME.ply and build/grids/NAME@N.zarr.zip. Out: error runs with maps of the level-of-detail error.
 Primary rays: the mesh, by Embree, is truth. Reflected rays: the exact shape is truth, and the mesh with its facets or
-with interpolated normals is one more contender: it is what renderers do today.
+with interpolated normals is one more contender: it is what renderers do today. Baked grids are read by faces, as is the
+default, and as Galim 2018 reads them; grids of exact shapes know the latter only.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool
@@ -29,6 +31,8 @@ from validate.views import framing, seen, through_field
 SIZE = 384
 RESOLUTIONS = (64, 512)
 KERNELS = ("bspline", "linear")
+# Texture coordinates that are read, per route.
+READ = {"exact grid": ("grid",), "baked grid": ("faces", "grid")}
 PRIMARY = ("torus", "mirror", "bunny")
 REFLECTED = ("torus", "mirror")
 # Where the cameras stand, as seen from the middle of each object. The torus shows its hole, where it mirrors
@@ -67,8 +71,9 @@ def run(bench: Bench) -> Iterator[Run]:
                 exact = Grid.from_function(shape(name), resolution) if path is None else Grid.load(path)
                 grids["exact grid"] = exact
             for route, grid in grids.items():
-                for kernel in KERNELS:
-                    yield from _judged(bench, views, grid, {"route": route, "kernel": kernel}, resolution)
+                for uv, kernel in product(READ[route], KERNELS):
+                    setup = {"route": route, "uv": uv, "kernel": kernel}
+                    yield from _judged(bench, views, grid, setup, resolution)
 
 
 def _primary(name: str, reference: MeshReference) -> View:
@@ -112,8 +117,8 @@ def _meshes(bench: Bench, view: View, reference: MeshReference) -> Iterator[Run]
 
 
 def _judged(bench: Bench, views: list[View], grid: Grid, setup: dict[str, str], resolution: int) -> Iterator[Run]:
-    """A grid under a kernel, in all views that it is meant for: primary rays see baked grids alone."""
-    field = cache(partial(GridField, grid, setup["kernel"]))
+    """A grid read in one way, in all views that it is meant for: primary rays see baked grids alone."""
+    field = cache(partial(GridField, grid, setup["kernel"], uv_mode=setup["uv"]))
 
     def measured(view: View, blank: Run) -> Run:
         ours, flags = through_field(field(), view.rays, view.bounces, grid.lattice.spacing)
