@@ -37,6 +37,7 @@ from sdfbake.topology import corners
 from sdfbake.uvgrid import closest_uv
 
 Progress = Callable[[str, float], None]
+_MEASURED = 50_000  # faces whose edges are measured, at least, where there are more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,19 +115,23 @@ def bake(
     """
     options = Options.of(mesh, uv_mode, sign, open, smooth)
     surface = _checked(mesh)
-    diagnosis = diagnose(mesh, surface)
-    diagnosis.require_bakeable(open_too=options.open)
     report = progress or (lambda stage, share: None)
     lattice = _lattice(mesh, resolution, options, cube)
-    refined = _refined(mesh, lattice, options, report)
-    source = refined.mesh if refined else mesh
-    if refined:
-        surface, lattice = Surface.of(source), _lattice(source, resolution, options, cube)
-    oriented = not options.shell and (sign == "pseudonormal" or (diagnosis.certified and sign == "auto"))
-    normals = Pseudonormals.of(surface) if oriented else None
     xp = choose(engine, 32).engine
-    inset = options.shell / 2 / lattice.spacing
-    target = Target.of(xp, lattice.to_grid(source.vertices), surface.faces, lattice.shape, normals, inset)
+    with ThreadPoolExecutor(1) as aside:  # on another core, while this one makes ready what a clean mesh needs
+        found = aside.submit(diagnose, mesh, surface)
+        refined = _refined(mesh, lattice, options, report)
+        source = refined.mesh if refined else mesh
+        if refined:
+            surface, lattice = Surface.of(source), _lattice(source, resolution, options, cube)
+        normals = Pseudonormals.of(surface) if options.may_orient else None
+        inset = options.shell / 2 / lattice.spacing
+        target = Target.of(xp, lattice.to_grid(source.vertices), surface.faces, lattice.shape, normals, inset)
+        diagnosis = found.result()
+    diagnosis.require_bakeable(open_too=options.open)
+    oriented = options.may_orient and (diagnosis.certified or sign == "pseudonormal")
+    if not oriented:
+        target = target._replace(normals=None)
     budget = memory.Budget.of(max_memory, surface, lattice, options.modes, len(mesh.part_names))
     with ThreadPoolExecutor(1) as aside:  # the tree for the other method's signs grows beside the descent
         growing = aside.submit(Winding.of, surface)
@@ -286,8 +291,8 @@ def _warn(sign: Sign, *, inside_out: bool, holes: bool) -> None:
 
 
 def edge_over_h(mesh: Mesh, lattice: Lattice) -> float:
-    """Return the median edge of a mesh in voxels; above 1, reflections look faceted."""
-    p = corners(mesh.vertices, mesh.faces)
+    """Return the median edge of a mesh in voxels; above 1, reflections look faceted. Large meshes are sampled."""
+    p = corners(mesh.vertices, mesh.faces[:: max(1, len(mesh.faces) // _MEASURED)])
     square = ((p - p[[1, 2, 0]]) ** 2).sum(axis=1)
     return float(np.median(np.sqrt(square)) / lattice.spacing)
 

@@ -22,7 +22,7 @@ from sdfbake.triangle import Point, dot, minus
 
 _LEAF = 2  # samples along a cube that shares one list
 _NODES = SIDE // _LEAF
-_PAIRS = 1 << 20  # bricks' candidates worked on together: those of their leaves have room for some twenty times more
+_PAIRS = 1 << 21  # bricks' candidates worked on together: those of their leaves have room for some twenty times more
 # Where interpolation is compared with exact distances: the centre of a cell, and where a Catmull-Rom spline, which is
 # better at the centre than anywhere else, is worst.
 PROBES = (0.5, 0.25)

@@ -232,10 +232,13 @@ def _may_win(xp: Engine, faces: Faces, known: Known, scale: tuple[float, Array, 
 
     A distance from a convex set is convex: with u the direction away from the face, it is at least d_f + u.e at a
     sample that lies e from the centre. The closest point q of the centre is at most d + v.e + |e|^2 / 2 d from there,
-    with v the direction away from it. So the face can win only if d_f - d <= R |u - v| + R^2 / 2 d, and <= 2 R anyhow.
+    with v the direction away from it. With H the half side of the cube, e.(v - u) is at most H times the sum of the
+    magnitudes of v - u, and |e| at most R. So the face can win only if d_f - d <= H |v - u|_1 + R^2 / 2 d, and if
+    d_f - d <= 2 R anyhow.
     """
     radius, most, size = scale
-    r, slack, least = xp.uniform(radius), xp.uniform(faces.slack), xp.uniform(1e-6)
+    r, half = xp.uniform(radius), xp.uniform(radius / _ROOT3)
+    slack, least = xp.uniform(faces.slack), xp.uniform(1e-6)
 
     def of_child(child: Array) -> Callable[[Point], Array]:
         kept, d, *away = _pick(xp, (known.kept, known.distance, *known.away), child)
@@ -247,7 +250,8 @@ def _may_win(xp: Engine, faces: Faces, known: Known, scale: tuple[float, Array, 
             of_face = xp.sqrt(dot(gap, gap))
             over_face = 1.0 / xp.maximum(of_face, least)
             turn = minus((gap[0] * over_face, gap[1] * over_face, gap[2] * over_face), (vx, vy, vz))
-            margin = xp.minimum(2 * r, r * (xp.sqrt(dot(turn, turn)) + slack * over_face) + bend)
+            turned = xp.abs(turn[0]) + xp.abs(turn[1]) + xp.abs(turn[2])
+            margin = xp.minimum(2 * r, half * turned + r * (slack * over_face) + bend)
             return (of_face <= xp.minimum(limit + margin, most)) & kept
 
         return passes

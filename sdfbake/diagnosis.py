@@ -118,30 +118,20 @@ def diagnose(mesh: Mesh, surface: Surface | None = None) -> Diagnosis:
         return Diagnosis((Finding("empty", len(mesh.faces), "faces without area", None, "refused"),))
     surface = surface or Surface.of(mesh)
     degenerate[surface.ids] = False
-    return Diagnosis(tuple(_vertex_and_face_findings(mesh, degenerate) + _edge_findings(mesh, surface)))
+    whole = surface.topology if len(surface.faces) == len(mesh.faces) else Topology.of(mesh.faces)
+    return Diagnosis(tuple(_vertex_and_face_findings(mesh, degenerate, whole) + _edge_findings(mesh, surface)))
 
 
-def _vertex_and_face_findings(mesh: Mesh, degenerate: Bool[np.ndarray, " f"]) -> list[Finding]:
+def _vertex_and_face_findings(mesh: Mesh, degenerate: Bool[np.ndarray, " f"], topology: Topology) -> list[Finding]:
     """Find what single faces and vertices show."""
     unused = np.ones(len(mesh.vertices), bool)
     unused[mesh.faces] = False
-    repeated = _repeated(mesh.faces)
     found = [
         _finding("degenerate", "faces", _middles(mesh, mesh.faces[degenerate]), "repairable"),
-        _finding("duplicate", "faces", _middles(mesh, mesh.faces[repeated]), "repairable"),
+        _finding("duplicate", "faces", _middles(mesh, mesh.faces[topology.repeated_faces(mesh.faces)]), "repairable"),
         _finding("unreferenced", "vertices", mesh.vertices[unused], "repairable"),
     ]
     return [finding for finding in found if finding.count]
-
-
-def _repeated(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-    """Say which faces have the vertices of one before them."""
-    low, middle, high = np.sort(faces, axis=1).T
-    order = np.lexsort((high, middle, low))
-    same = np.logical_and.reduce([column[order][1:] == column[order][:-1] for column in (low, middle, high)])
-    repeated = np.zeros(len(faces), bool)
-    repeated[order[1:]] = same
-    return repeated
 
 
 def _edge_findings(mesh: Mesh, surface: Surface) -> list[Finding]:

@@ -37,6 +37,11 @@ class Options:
     open: bool
     smooth: str
 
+    @property
+    def may_orient(self) -> bool:
+        """Whether pseudonormals may tell inside from outside."""
+        return not self.open and self.sign != "winding"
+
     @staticmethod
     def of(mesh: Mesh, uv_mode: str | Iterable[str] | None, sign: str, open_: str | None, smooth: str) -> "Options":
         """Check what a user wrote; see `bake` for the meaning and the errors."""

@@ -23,12 +23,15 @@ class Topology:
         Whether the side runs from the lower to the higher vertex.
     faces_per_edge
         Number of sides on every edge.
+    order
+        Sides (3 times the face, plus the corner they start from), edge by edge.
     """
 
     edges: Int[np.ndarray, "e 2"]
     edge: Int[np.ndarray, "f 3"]
     forward: Bool[np.ndarray, "f 3"]
     faces_per_edge: Int[np.ndarray, " e"]
+    order: Int[np.ndarray, " s"]
 
     @staticmethod
     def of(faces: Int[np.ndarray, "f 3"]) -> "Topology":
@@ -46,7 +49,7 @@ class Topology:
         edge[order] = np.cumsum(fresh) - 1
         count = np.diff(np.append(np.flatnonzero(fresh), len(key)))
         edges = np.stack([key[fresh] >> 32, key[fresh] & 0xFFFFFFFF], axis=-1)
-        return Topology(edges, edge.reshape(-1, 3), forward.reshape(-1, 3), count)
+        return Topology(edges, edge.reshape(-1, 3), forward.reshape(-1, 3), count, order)
 
     @property
     def open_edges(self) -> Int[np.ndarray, " m"]:
@@ -64,13 +67,29 @@ class Topology:
         forward = np.bincount(self.edge.reshape(-1), weights=self.forward.reshape(-1), minlength=len(self.edges))
         return np.flatnonzero((self.faces_per_edge == 2) & (forward != 1))
 
+    @property
+    def twins(self) -> Int[np.ndarray, " s"]:
+        """The other side of every side's edge, if every edge has two."""
+        pairs = self.order.reshape(-1, 2)
+        twin = np.empty(len(self.order), np.int64)
+        twin[pairs[:, 0]], twin[pairs[:, 1]] = pairs[:, 1], pairs[:, 0]
+        return twin
+
+    def repeated_faces(self, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, " m"]:
+        """Faces that have the vertices of one before them."""
+        if (self.faces_per_edge == 2).all():  # then they are each other's only neighbours
+            a, b, c = (self.twins // 3).reshape(-1, 3).T
+            return np.flatnonzero((a == b) & (b == c) & (a < np.arange(len(faces))))
+        low, middle, high = np.sort(faces, axis=1).T
+        order = np.lexsort((high, middle, low))
+        same = np.logical_and.reduce([column[order][1:] == column[order][:-1] for column in (low, middle, high)])
+        return np.sort(order[1:][same])
+
     def pinched_vertices(self, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, " m"]:
         """Vertices of a closed and oriented mesh around which the faces form more than one fan."""
-        # The two sides of every edge, and so the corner that follows around a vertex: side k of a face leaves corner
-        # k; its twin arrives there, so the corner after the twin's is at the same vertex.
-        pairs = np.argsort(self.edge.reshape(-1), kind="stable").reshape(-1, 2)
-        twin = np.empty(faces.size, np.int64)
-        twin[pairs[:, 0]], twin[pairs[:, 1]] = pairs[:, 1], pairs[:, 0]
+        # The corner that follows around a vertex: side k of a face leaves corner k; its twin arrives there, so the
+        # corner after the twin's is at the same vertex.
+        twin = self.twins
         after = twin + 1 - 3 * (twin % 3 == 2)
         fan = np.arange(faces.size)
         while True:  # least corner of every fan, found by steps of 1, 2, 4, ... corners

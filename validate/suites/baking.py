@@ -98,14 +98,21 @@ class _Course:
 
 def run(bench: Bench) -> Iterator[Run]:
     """Race all tools that are here; the others have one failed run each."""
+    problems = [problem for problem in MESHES if bench.only in (None, problem)]
+    for problem in problems:  # all of them, before minutes go into the first
+        if not _file(bench, problem).exists():
+            raise BadInput(f"{_file(bench, problem)} does not exist and this suite needs it: run 'make bench-bake'")
     found = [find(peer) for peer in PEERS]
     for one in found:
         if not one.here:
             status = f"failed: it cannot run here ({one.problem}); to have it: {one.peer.install}"
             yield Run(SUITE, "every mesh", {"tool": one.peer.name}, {}, "timing", status=status)
-    for problem in MESHES:
-        if bench.only in (None, problem):
-            yield from _mesh(bench, problem, [one for one in found if one.here])
+    for problem in problems:
+        yield from _mesh(bench, problem, [one for one in found if one.here])
+
+
+def _file(bench: Bench, problem: str) -> Path:
+    return bench.build / "meshes" / f"{problem}.ply"
 
 
 def entries(found: Sequence[Found], modes: Sequence[str]) -> list[Entry]:
@@ -123,10 +130,7 @@ def entries(found: Sequence[Found], modes: Sequence[str]) -> list[Entry]:
 
 
 def _mesh(bench: Bench, problem: str, found: Sequence[Found]) -> Iterator[Run]:
-    path = bench.build / "meshes" / f"{problem}.ply"
-    if not path.exists():
-        raise BadInput(f"{path} does not exist and this suite needs it: run 'make bench-bake'")
-    mesh = Mesh.load(path)
+    mesh = Mesh.load(_file(bench, problem))
     oracle = Oracle.of(mesh)
     seen: dict[str, tuple[int, float]] = {}  # the latest size of every entry, and the seconds of its first call
     with TemporaryDirectory(prefix="baking-") as folder:
