@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from beams import perpendicular, perturbed, symplectic_defect
 from datasets_synthetic import shape
 from datasets_synthetic.sphere import Sphere
 from sdfbake import Grid
@@ -12,6 +11,39 @@ from validate.closed import ExactReference
 from validate.exact import ShapeField
 
 EPS = np.finfo(float).eps
+
+
+def perpendicular(vectors, d):
+    return vectors - np.sum(vectors * d, axis=1, keepdims=True) * d
+
+
+def perturbed(p, d, rng):
+    """Rays with four independent perturbations each, as two bundles of two."""
+    n = len(p)
+    moves = [(perpendicular(rng.normal(size=(n, 3)), d), perpendicular(rng.normal(size=(n, 3)), d)) for _ in range(4)]
+    return [Rays(p, d, a[0], b[0], a[1], b[1]) for a, b in (moves[:2], moves[2:])]
+
+
+def perturbations(bundles):
+    """The four (dp, dd) of two bundles, dp taken across the ray, where the form looks."""
+    pairs = [(b.dp_dx, b.dd_dx) for b in bundles] + [(b.dp_dy, b.dd_dy) for b in bundles]
+    return [(perpendicular(dp, bundles[0].d), dd) for dp, dd in pairs]
+
+
+def symplectic_defect(before, after):
+    """Greatest change of dd_1 . dp_2 - dd_2 . dp_1 over all pairs, relative to the map's gain squared.
+
+    Omega is a number per pair of perturbations and must stay; rounding grows with the squared length of the results.
+    """
+    start, end = perturbations(before), perturbations(after)
+    size = np.max([np.sum(dp * dp + dd * dd, axis=1) for dp, dd in start + end], axis=0)
+
+    def form(moves, i, j):
+        (dp_i, dd_i), (dp_j, dd_j) = moves[i], moves[j]
+        return np.sum(dd_i * dp_j - dd_j * dp_i, axis=1)
+
+    defects = [np.abs(form(start, i, j) - form(end, i, j)) / size for i in range(4) for j in range(i)]
+    return np.max(defects, axis=0)
 
 
 def mirror_rays(rng, count=300):
