@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,19 +88,37 @@ class Topology:
         return np.sort(order[1:][same])
 
     def pinched_vertices(self, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, " m"]:
-        """Vertices of a closed and oriented mesh around which the faces form more than one fan."""
+        """Vertices around which the faces form more than one fan."""
+        closed = (self.faces_per_edge == 2).all() and len(self.flipped_edges) == 0
+        fan = self._turned(faces) if closed else self._linked(faces)
+        vertex = np.zeros(fan.max(initial=-1) + 1, np.int64)
+        vertex[fan] = faces.reshape(-1)  # all corners of a fan are at one vertex
+        return np.flatnonzero(np.bincount(vertex[np.unique(fan)]) > 1)
+
+    def _turned(self, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, " s"]:
+        """Number the fan of every corner of a closed and oriented mesh by its least corner."""
         # The corner that follows around a vertex: side k of a face leaves corner k; its twin arrives there, so the
         # corner after the twin's is at the same vertex.
         twin = self.twins
         after = twin + 1 - 3 * (twin % 3 == 2)
         fan = np.arange(faces.size)
-        while True:  # least corner of every fan, found by steps of 1, 2, 4, ... corners
+        while True:  # by steps of 1, 2, 4, ... corners
             least = np.minimum(fan, fan[after])
             if np.array_equal(least, fan):
-                break
+                return fan
             fan, after = least, after[after]
-        fans = np.bincount(faces.reshape(-1)[fan == np.arange(faces.size)])
-        return np.flatnonzero(fans > 1)
+
+    def _linked(self, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, " s"]:
+        """Number the fan of every corner of any mesh."""
+        corner = np.arange(faces.size).reshape(-1, 3)
+        # Side k of a face joins corner k and corner k + 1: both faces of an edge see the same two vertices there.
+        ends = np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1)
+        ends = np.where(self.forward[..., None], ends, ends[..., ::-1])
+        hub = faces.size + 2 * self.edge[..., None] + np.arange(2)
+        nodes = faces.size + 2 * len(self.edges)
+        links = coo_array((np.ones(ends.size, np.int8), (ends.reshape(-1), hub.reshape(-1))), shape=(nodes, nodes))
+        fan: Int[np.ndarray, " s"] = connected_components(links, directed=False)[1][: faces.size].astype(np.int64)
+        return fan
 
 
 def twice_areas(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, " f"]:

@@ -15,7 +15,7 @@ ASKED = (
     "An atlas is cut into charts, and between samples of two charts there is nothing to interpolate. A grid can hold "
     "texture coordinates in three ways: as 'faces' every sample names its closest face; as 'layers' it has those of "
     "every chart nearby, continued past the chart's border; as 'grid' (Galim 2018, eq. 22) those of the closest point, "
-    "interpolated across the cuts. All three are asked at 100,000 random points of the mesh, with random tangent "
+    "interpolated across the cuts. All three are asked at 40,000 random points of the mesh, with random tangent "
     "vectors for pixels; the mesh itself says in closed form what is right."
 )
 NOTES = (

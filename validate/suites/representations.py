@@ -34,7 +34,7 @@ KERNEL, MORE_KERNELS = "bspline", ("linear", "catmull-rom")
 NAMES = ("bunny", "torus")
 RESOLUTIONS = (64, 128, 256)
 COARSE = 128  # up to which all kernels are tried
-POINTS = 100_000
+POINTS = 40_000
 # What is shown, and how many pixels it has along a side.
 SHOWN, SHOWN_RESOLUTION, SIZE = "bunny", 64, 384
 # What is timed, on how many points, and what to ask for to have nothing else.
