@@ -19,7 +19,7 @@ from sdfbake.faces import FaceTable
 from sdfbake.grid import Grid
 from sdfbake.topology import signed_volume
 from sdfrender.field import Mapped
-from sdfrender.march import Found, Tables, sample
+from sdfrender.tables import Found, Tables, sample
 from sdfrender.triangle import nearest
 from sdfrender.vector import Vector, cross, dot, scale, subtract
 

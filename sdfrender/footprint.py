@@ -1,18 +1,21 @@
 """The footprint of a pixel on a texture (Galim 2018, eq. 23 to 25).
 
 In: a beam on a surface and the texture coordinates there. Out: duv/dx and duv/dy per pixel, the level of detail as
-the report has it and as rotation leaves it, the ellipse.
+the report has it and as rotation leaves it, the ellipse, and how far the footprint is from linear.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from sdfbake.engine import Array, Engine
 from sdfrender.field import Mapped
+from sdfrender.flags import Flag
 from sdfrender.rays import Beam
 from sdfrender.vector import Vector, dot
 
 Pair = tuple[Array, Array]
+# J changes by half of this within its own pixel. Where that is 1 - 1/sqrt(2), a level of detail may be off by 1/2.
+NONLINEAR_LIMIT = 2.0 - 2.0**0.5
 SMALLEST = 1e-18  # texels: what a footprint of no extent is taken for; its square is a float32, its logarithm a number
 
 
@@ -71,3 +74,45 @@ def ellipse(
     u, s, _ = np.linalg.svd(jacobian)
     axis = u[:, :, 0] * np.where(u[:, :1, 0] < 0, -1.0, 1.0)
     return s[:, 0], s[:, 1], np.arctan2(axis[:, 1], axis[:, 0])
+
+
+def nonlinearity(
+    jacobian: Float[np.ndarray, "h w 2 2"], hit: Bool[np.ndarray, "h w"], chart: Int[np.ndarray, "h w"]
+) -> Float[np.ndarray, "h w"]:
+    """Return how much a picture's footprints differ from their neighbours', as a share of their own size.
+
+    A linear footprint is the same in the next pixel. |J' - J| / |J| (Frobenius norms), the greatest over the four
+    neighbours; those on another chart, or on nothing, cannot be compared.
+
+    Parameters
+    ----------
+    jacobian
+        (h, w, 2, 2): J = [duv/dx duv/dy] per pixel, in one unit all over.
+    hit, chart
+        (h, w): where there is a footprint, and on which chart.
+
+    Returns
+    -------
+    share
+        (h, w) float64; 0 where there is nothing to compare with.
+    """
+    size = np.linalg.norm(jacobian, axis=(2, 3))
+    difference = np.zeros(hit.shape)
+    for axis in (0, 1):
+        low, high = _halves(axis, 0), _halves(axis, 1)
+        step = np.linalg.norm(jacobian[high] - jacobian[low], axis=(2, 3))
+        step = np.where(hit[low] & hit[high] & (chart[low] == chart[high]), step, 0.0)
+        for half in (low, high):
+            difference[half] = np.maximum(difference[half], step)
+    return np.asarray(difference / np.maximum(size, SMALLEST))
+
+
+def nonlinear(share: Float[np.ndarray, "h w"], limit: float = NONLINEAR_LIMIT) -> Int[np.ndarray, "h w"]:
+    """Return the flag NONLINEAR where `nonlinearity` is above a share, 0 elsewhere."""
+    return np.where(share > limit, int(Flag.NONLINEAR), 0)
+
+
+def _halves(axis: int, first: int) -> tuple[slice, slice]:
+    """Slice off the last (or the first) row or column."""
+    cut = slice(first, None if first else -1)
+    return (cut, slice(None)) if axis == 0 else (slice(None), cut)

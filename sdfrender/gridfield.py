@@ -18,9 +18,23 @@ from sdfrender.gridmap import GridMap
 from sdfrender.interpolation import contract
 from sdfrender.kernels import Kernel, kernel
 from sdfrender.layermap import LayerMap
-from sdfrender.march import SIDE, Found, Tables, base_of, brick_of, cell_of, march, place_in, sample, stencil
+from sdfrender.march import march
 from sdfrender.optics import normal
-from sdfrender.stencils import INCOMPLETE, FloatType, stencils
+from sdfrender.skips import brick_sides, cell_sides
+from sdfrender.slabs import slabs
+from sdfrender.stencils import FloatType, stencils
+from sdfrender.tables import (
+    INCOMPLETE,
+    Found,
+    Tables,
+    base_of,
+    brick_of,
+    cell_of,
+    is_complete,
+    place_in,
+    sample,
+    stencil,
+)
 from sdfrender.uvmode import AUTO, BY_NORMAL, choose_mode, stored_in
 from sdfrender.vector import Symmetric, Vector
 
@@ -130,10 +144,10 @@ class GridField:
         g = self._to_grid(p)
         cell = cell_of(xp, self._tables, g)
         slot, local = brick_of(xp, self._tables, cell, active)
-        kind = xp.gather(self._tables.cells, slot * SIDE**3 + local, active & (slot >= 0))
         known = active & (slot >= 0)
+        complete = is_complete(xp, self._tables, slot, local, known)
         found = Found(known, xp.full(p[0], 0.0), cell, place_in(xp, g, cell), base_of(xp, self._tables, cell, known))
-        return Spot(known & (kind != INCOMPLETE), found.t, p, tuple(found))
+        return Spot(known & complete, found.t, p, tuple(found))
 
     def jet(self, points: Float[np.ndarray, "n 3"], order: int = 2) -> tuple[np.ndarray, ...]:
         """Signed distance and derivatives at points (Galim 2018, eq. 13 to 19).
@@ -263,18 +277,33 @@ def _ids(channel: Integer[np.ndarray, "k 8 8 8"] | None, engine: Engine) -> Arra
 
 def _tables(grid: Grid, kernel: Kernel, engine: Engine) -> tuple[Tables, float]:
     """Prepare what a march looks up, and its rounding bound."""
-    shape = grid.lattice.shape
-    made = stencils(grid.distance, grid.bricks, shape, kernel, _kind(engine))
-    bound = tolerance(engine.eps, kernel, made.largest)
-    samples = tuple(engine.uniform(int(n)) for n in shape)
-    bricks = tuple(engine.uniform(int(n)) for n in grid.bricks.slot.shape)
+    shape, table, bricks = grid.lattice.shape, grid.bricks.slot, grid.bricks
+    made = stencils(grid.distance, bricks, shape, kernel, _kind(engine))
+    # A cell counts as empty only where no rounding of its neighbours' polynomials reaches: twice their bound.
+    found = slabs(made, kernel, lambda largest: 2 * tolerance(engine.eps, kernel, largest))
+    full = np.zeros(made.complete.shape, bool)
+    full.reshape(-1)[found.cell] = True
+    cells = cell_sides(full, table)
+    cells |= np.where(made.complete, 0, INCOMPLETE).astype(np.int32)
+    cells.reshape(-1)[found.cell] = -1 - np.arange(len(found.cell), dtype=np.int32)
+    bound = tolerance(engine.eps, kernel, found.largest)
+    one = max(len(found.cell), 1)  # no engine likes an empty table
+    planes, deltas = np.zeros((one, 4), np.float32), np.zeros(one, np.float32)
+    planes[: len(found.cell)], deltas[: len(found.cell)] = found.plane, found.delta
     tables = Tables(
         kernel,
-        engine.table(grid.bricks.slot),
-        engine.table(made.cells),
+        engine.table(np.where(table < 0, -1 - brick_sides(table >= 0), table)),
+        engine.table(cells),
+        engine.table(planes),
+        engine.table(deltas),
         engine.table(made.coefficients),
-        samples,
-        bricks,
+        _uniform(engine, shape),
+        _uniform(engine, table.shape),
         engine.uniform(bound),
     )
     return tables, bound
+
+
+def _uniform(engine: Engine, numbers: tuple[int, int, int]) -> tuple[Array, Array, Array]:
+    x, y, z = (engine.uniform(int(n)) for n in numbers)
+    return x, y, z

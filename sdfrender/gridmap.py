@@ -10,8 +10,8 @@ from sdfbake.engine import Array, Engine
 from sdfbake.grid import Grid
 from sdfrender.field import Mapped
 from sdfrender.interpolation import contract
-from sdfrender.march import SIDE, Found, Tables, brick_of, sample, stencil
 from sdfrender.stencils import FloatType, channel_coefficients, mixed_cells
+from sdfrender.tables import SIDE, Found, Tables, brick_of, sample, stencil
 from sdfrender.vector import Vector
 
 

@@ -16,7 +16,7 @@ from sdfbake.grid import Grid
 from sdfbake.layers import FULL
 from sdfrender.field import Mapped
 from sdfrender.layertable import CORNERS, PADDED, padded, rows_of
-from sdfrender.march import Found, Tables, brick_of
+from sdfrender.tables import Found, Tables, brick_of
 from sdfrender.vector import Vector, dot
 
 _WHOLE = 255  # all eight corners of a cell

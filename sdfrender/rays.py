@@ -4,11 +4,11 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from sdfbake.engine import Array
 from sdfrender.vector import Vector
@@ -37,11 +37,13 @@ class Rays:
         Origins and unit directions.
     dp_dx, dp_dy, dd_dx, dd_dy
         Their derivatives per pixel step to the right and down; world units and radians.
+    flags
+        (n,) bits of `Flag`: what happened on the way so far, MISS apart. Left out, nothing did.
 
     Raises
     ------
     ValueError
-        If the arrays do not all have the shape (n, 3).
+        If the arrays do not all have the shape (n, 3), or the flags not (n,).
     """
 
     p: Float[np.ndarray, "n 3"]
@@ -50,6 +52,7 @@ class Rays:
     dp_dy: Float[np.ndarray, "n 3"]
     dd_dx: Float[np.ndarray, "n 3"]
     dd_dy: Float[np.ndarray, "n 3"]
+    flags: Int[np.ndarray, " n"] = field(default_factory=lambda: np.zeros(0, np.int32))
 
     def __post_init__(self) -> None:
         for name in COLUMNS:
@@ -57,6 +60,10 @@ class Rays:
             if values.shape != (len(self.p), 3):
                 raise ValueError(f"Rays.{name} has shape {values.shape}, expected ({len(self.p)}, 3)")
             object.__setattr__(self, name, values)
+        if not self.flags.size:
+            object.__setattr__(self, "flags", np.zeros(len(self.p), np.int32))
+        if self.flags.shape != (len(self.p),):
+            raise ValueError(f"Rays.flags has shape {self.flags.shape}, expected ({len(self.p)},)")
 
     def __len__(self) -> int:
         return len(self.p)
@@ -67,7 +74,11 @@ class Rays:
 
     def where(self, chosen: np.ndarray) -> "Rays":
         """Return some of the rays."""
-        return Rays(*(getattr(self, name)[chosen] for name in COLUMNS))
+        return Rays(*(getattr(self, name)[chosen] for name in (*COLUMNS, "flags")))
+
+    def flagged(self, flags: Int[np.ndarray, " n"]) -> "Rays":
+        """Return the same rays with more flags on their way."""
+        return replace(self, flags=self.flags | flags)
 
 
 def beam(columns: tuple[Array, ...]) -> Beam:

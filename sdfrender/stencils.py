@@ -1,7 +1,7 @@
 """Bricks of samples turned into what a kernel reads at render time.
 
 In: a channel of a grid and a kernel. Out: per brick the coefficients of its 8^3 cells with the apron that their
-stencils need, prefiltered; and which cells may hold surface, certified by the Bezier net.
+stencils need, prefiltered; and which cells have a whole stencil.
 
 A stencil that leaves the lattice continues linearly. A stencil that reaches an absent brick is incomplete: by the
 band's width such a cell holds no surface (Galim 2018 stores all samples; here only those near the surface exist).
@@ -12,19 +12,17 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import reduce
-from itertools import product
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer, Num
+from jaxtyping import Bool, Float, Int, Integer, Num
 
 from sdfbake.bricks import SIDE, Bricks
 from sdfrender.kernels import Kernel
 
 HALO_LOW, HALO_HIGH = 2, 3  # samples beyond a brick's own that the widest stencil and its prefilter touch
 PADDED = SIDE + HALO_LOW + HALO_HIGH
-INCOMPLETE, EMPTY, OCCUPIED = 0, 1, 2  # what a cell can be
-_CHUNK = 128  # bricks at once: 2.3 MB of padded float64 samples stay in the caches
+_CHUNK = 32  # bricks at once: 0.6 MB of padded float64 samples and their temporaries stay in the caches
 
 Result = TypeVar("Result")
 FloatType = type[np.float32] | type[np.float64]
@@ -38,35 +36,67 @@ class Stencils:
     ----------
     coefficients
         (k, S, S, S), S = 7 + taps: coefficients of a brick's cells, starting at the kernel's first tap.
-    cells
-        (k, 8, 8, 8) uint8: INCOMPLETE, EMPTY or OCCUPIED.
-    largest
-        Greatest sum of |weight x coefficient| behind a control point of the occupied cells' nets.
+    complete
+        (k, 8, 8, 8): whether the cell lies in the lattice and no coefficient of it was read from an absent brick.
     """
 
     coefficients: Float[np.ndarray, "k S S S"]
-    cells: Integer[np.ndarray, "k 8 8 8"]
-    largest: float
+    complete: Bool[np.ndarray, "k 8 8 8"]
+
+
+def _places() -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Say of every sample of a padded brick which of the 27 bricks it is in, and where in there."""
+    brick, inside = np.divmod(np.arange(-HALO_LOW, SIDE + HALO_HIGH), SIDE)
+    x, y, z = np.ix_(brick + 1, brick + 1, brick + 1)
+    i, j, k = np.ix_(inside, inside, inside)
+    return ((x * 3 + y) * 3 + z).ravel(), ((i * SIDE + j) * SIDE + k).ravel()
+
+
+_BRICK, _INSIDE = _places()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Source:
-    """A channel and where its bricks are: the tables have a rim, so that every brick has neighbours."""
+    """A channel and where its bricks are.
 
-    values: Num[np.ndarray, "k 8 8 8"]
-    slot: Integer[np.ndarray, "bx by bz"]
+    Attributes
+    ----------
+    values
+        All samples, and after them a brick of NaN that stands for every absent one.
+    slot, far
+        Tables of the bricks with a rim, so that every brick has neighbours.
+    shape
+        Samples of the lattice.
+    """
+
+    values: Float[np.ndarray, " n"]
+    slot: Int[np.ndarray, "bx by bz"]
     far: Float[np.ndarray, "bx by bz"]
     shape: tuple[int, int, int]
 
     @staticmethod
     def of(values: Num[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int]) -> "_Source":
-        return _Source(values, np.pad(bricks.slot, 1, constant_values=-1), np.pad(bricks.far, 1), shape)
+        kind = values.dtype if values.dtype.kind == "f" else np.float64
+        absent = len(values)
+        flat = np.full((absent + 1) * SIDE**3, np.nan, kind)
+        flat[: values.size] = values.ravel()
+        slot = np.where(bricks.slot < 0, absent, bricks.slot)
+        return _Source(flat, np.pad(slot, 1, constant_values=absent), np.pad(bricks.far, 1), shape)
+
+    def around(self, index: Integer[np.ndarray, "m 3"]) -> Int[np.ndarray, "m 27"]:
+        """Return where in the tables the 27 neighbours of bricks are."""
+        _, ny, nz = self.slot.shape
+        x, y, z = index.astype(np.int64).T
+        step = np.arange(3)
+        offset = ((step[:, None, None] * ny + step[:, None]) * nz + step).ravel()
+        at: Int[np.ndarray, "m 27"] = ((x * ny + y) * nz + z)[:, None] + offset
+        return at
 
 
 def stencils(
     values: Float[np.ndarray, "k 8 8 8"], bricks: Bricks, shape: tuple[int, int, int], kernel: Kernel, kind: FloatType
 ) -> Stencils:
-    """Prepare the distance channel: coefficients and occupied cells.
+    """Prepare the distance channel: coefficients, with the signed bound of an absent brick in place of its samples.
 
     Parameters
     ----------
@@ -79,29 +109,27 @@ def stencils(
     kernel
         The kernel.
     kind
-        Float type that will trace: of the coefficients, and its rounding widens the test for surface.
+        Float type of the coefficients; they are computed in float64 all the same.
     """
-    size, eps = SIDE - 1 + kernel.taps, float(np.finfo(kind).eps)
+    size = SIDE - 1 + kernel.taps
     coefficients = np.empty((len(bricks), size, size, size), kind)
-    cells = np.empty((len(bricks), SIDE, SIDE, SIDE), np.uint8)
+    complete = np.empty((len(bricks), SIDE, SIDE, SIDE), bool)
     source = _Source.of(values, bricks, shape)
 
-    def prepare(rows: slice) -> float:
+    def prepare(rows: slice) -> None:
         index = bricks.index[rows]
-        exact = _coefficients(_padded(source, index, absent="nan"), kernel)
-        undecided = ~_one_sided(exact, kernel, eps)
-        kinds = np.full((len(exact), SIDE, SIDE, SIDE), EMPTY, np.uint8)
-        kinds[undecided], largest = _classify(exact[undecided], kernel, eps)
-        kinds[~_has_cell(index, shape)] = INCOMPLETE
-        unknown = np.isnan(exact)
-        holed = unknown.any(axis=(1, 2, 3))
-        bound = _window(_padded(source, index[holed], absent="far"), kernel)
-        exact[holed] = np.where(unknown[holed], bound, exact[holed])
-        coefficients[rows], cells[rows] = exact, kinds
-        return largest
+        padded = _padded(source, index)
+        made = _coefficients(_continued(padded.astype(np.float64), index, shape), kernel).astype(kind)
+        whole = _has_cell(index, shape)
+        holed = (source.slot.take(source.around(index)) == len(values)).any(axis=1)
+        if holed.any():
+            missing, bound = np.isnan(made[holed]), _bounded(source, padded[holed], index[holed], kernel)
+            made[holed] = np.where(missing, bound, made[holed])
+            whole[holed] &= ~_any_tap(missing, kernel)
+        coefficients[rows], complete[rows] = made, whole
 
-    largest = max(_by_chunks(prepare, len(bricks)), default=0.0)
-    return Stencils(coefficients, cells, largest)
+    _by_chunks(prepare, len(bricks))
+    return Stencils(coefficients, complete)
 
 
 def channel_coefficients(
@@ -113,7 +141,8 @@ def channel_coefficients(
     source = _Source.of(values, bricks, shape)
 
     def prepare(rows: slice) -> None:
-        exact = _coefficients(_padded(source, bricks.index[rows], absent="nan"), kernel)
+        index = bricks.index[rows]
+        exact = _coefficients(_continued(_padded(source, index).astype(np.float64), index, shape), kernel)
         out[rows] = np.nan_to_num(exact, nan=0.0)
 
     _by_chunks(prepare, len(bricks))
@@ -130,7 +159,8 @@ def mixed_cells(
     first, width = HALO_LOW + kernel.first - reach, kernel.taps + 2 * reach
 
     def prepare(rows: slice) -> None:
-        padded = _padded(source, bricks.index[rows], absent="nan")
+        index = bricks.index[rows]
+        padded = _continued(_padded(source, index), index, shape)
         whole = padded.reshape(len(padded), -1)
         several = np.fmin.reduce(whole, axis=1) != np.fmax.reduce(whole, axis=1)  # most bricks see one chart only
         least = most = padded[several]
@@ -152,44 +182,45 @@ def _by_chunks(prepare: Callable[[slice], Result], count: int) -> list[Result]:
         return list(pool.map(prepare, [slice(start, start + _CHUNK) for start in range(0, count, _CHUNK)]))
 
 
-def _padded(source: _Source, index: Integer[np.ndarray, "m 3"], absent: str) -> Float[np.ndarray, "m 13 13 13"]:
-    """Gather bricks with their neighbours' samples around them; absent ones are NaN or the far bound."""
-    out = np.empty((len(index), PADDED, PADDED, PADDED))
-    spans = {
-        -1: (slice(0, HALO_LOW), slice(SIDE - HALO_LOW, SIDE)),
-        0: (slice(HALO_LOW, HALO_LOW + SIDE), slice(0, SIDE)),
-        1: (slice(HALO_LOW + SIDE, PADDED), slice(0, HALO_HIGH)),
-    }
-    for offset in product((-1, 0, 1), repeat=3):
-        neighbour = tuple((index + 1 + np.array(offset)).T)
-        slot = source.slot[neighbour]
-        (to_x, from_x), (to_y, from_y), (to_z, from_z) = (spans[o] for o in offset)
-        block = out[:, to_x, to_y, to_z]
-        block[...] = source.values[np.maximum(slot, 0), from_x, from_y, from_z]
-        missing = slot < 0
-        if missing.any():
-            block[missing] = source.far[neighbour][missing][:, None, None, None] if absent == "far" else np.nan
-    for axis in range(3):
-        _continue_linearly(out, index[:, axis] * SIDE - HALO_LOW, source.shape[axis], axis + 1)
-    return out
+def _padded(source: _Source, index: Integer[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 13 13 13"]:
+    """Gather bricks with their neighbours' samples around them; absent ones are NaN."""
+    first = source.slot.take(source.around(index)).astype(np.int64) * SIDE**3
+    at = first.take(_BRICK, axis=1)
+    at += _INSIDE
+    padded: Float[np.ndarray, "m 13 13 13"] = source.values.take(at).reshape(-1, PADDED, PADDED, PADDED)
+    return padded
 
 
-def _continue_linearly(
-    padded: Float[np.ndarray, "m 13 13 13"], first: Integer[np.ndarray, " m"], count: int, axis: int
-) -> None:
-    """Continue blocks of one caller's array past the lattice's first and last sample along an axis, in place."""
-    blocks = np.moveaxis(padded, axis, 1)
-    for start in np.unique(first[(first < 0) | (first + PADDED > count)]):
-        rows = first == start
-        part = blocks[rows]
-        at = start + np.arange(PADDED)
-        for outside, edge, inner in ((at < 0, 0, 1), (at >= count, count - 1, count - 2)):
-            if not outside.any():
-                continue
-            step = (at[outside] - edge) * (edge - inner)
-            base, slope = part[:, edge - start, None], part[:, edge - start, None] - part[:, inner - start, None]
-            part[:, outside] = base + step[:, None, None] * slope
-        blocks[rows] = part
+def _bounded(
+    source: _Source, padded: Float[np.ndarray, "m 13 13 13"], index: Integer[np.ndarray, "m 3"], kernel: Kernel
+) -> Float[np.ndarray, "m S S S"]:
+    """Return what stands for the coefficients that there are not: samples, or the bounds of absent bricks."""
+    far = source.far.take(source.around(index)).take(_BRICK, axis=1).reshape(padded.shape)
+    return _window(_continued(np.where(np.isnan(padded), far, padded), index, source.shape), kernel)
+
+
+def _continued(
+    padded: Float[np.ndarray, "m 13 13 13"], index: Integer[np.ndarray, "m 3"], shape: tuple[int, int, int]
+) -> Float[np.ndarray, "m 13 13 13"]:
+    """Continue blocks past the lattice's first and last sample linearly, one axis after the other."""
+    for axis, count in enumerate(shape):
+        first = index[:, axis] * SIDE - HALO_LOW
+        beyond = (first < 0) | (first + PADDED > count)
+        if not beyond.any():
+            continue
+        padded = padded.copy()
+        for start in np.unique(first[beyond]):
+            rows = first == start
+            part = np.moveaxis(padded[rows], axis + 1, 1)
+            at = start + np.arange(PADDED)
+            for outside, edge, inner in ((at < 0, 0, 1), (at >= count, count - 1, count - 2)):
+                if not outside.any():
+                    continue
+                step = (at[outside] - edge) * (edge - inner)
+                base, slope = part[:, edge - start, None], part[:, edge - start, None] - part[:, inner - start, None]
+                part[:, outside] = base + step[:, None, None] * slope
+            padded[rows] = np.moveaxis(part, 1, axis + 1)
+    return padded
 
 
 def _coefficients(padded: Float[np.ndarray, "m 13 13 13"], kernel: Kernel) -> Float[np.ndarray, "m S S S"]:
@@ -206,102 +237,22 @@ def _coefficients(padded: Float[np.ndarray, "m 13 13 13"], kernel: Kernel) -> Fl
             padded = inner
         first = HALO_LOW - 1 + kernel.first
         kept = slice(first, first + SIDE - 1 + kernel.taps)
-        return np.ascontiguousarray(padded[:, kept, kept, kept])
+        return padded[:, kept, kept, kept]
     return _window(padded, kernel)
 
 
 def _window(padded: Float[np.ndarray, "m 13 13 13"], kernel: Kernel) -> Float[np.ndarray, "m S S S"]:
     first = HALO_LOW + kernel.first
     kept = slice(first, first + SIDE - 1 + kernel.taps)
-    return np.ascontiguousarray(padded[:, kept, kept, kept])
+    return padded[:, kept, kept, kept]
 
 
-def _one_sided(coefficients: Float[np.ndarray, "m S S S"], kernel: Kernel, eps: float) -> Bool[np.ndarray, " m"]:
-    """Say which bricks hold no surface at a glance: weights that are never negative stay on the side of their taps.
-
-    Never true where a tap is NaN.
-    """
-    if kernel.overlap > 1:
-        return np.zeros(len(coefficients), bool)
-    taps = coefficients.reshape(len(coefficients), -1)
-    low, high = taps.min(axis=1), taps.max(axis=1)
-    sided: Bool[np.ndarray, " m"] = (low > 64 * eps * np.abs(high)) | (high < -64 * eps * np.abs(low))
-    return sided
-
-
-def _classify(
-    coefficients: Float[np.ndarray, "m S S S"], kernel: Kernel, eps: float
-) -> tuple[Integer[np.ndarray, "m 8 8 8"], float]:
-    """Say of every cell whether it may hold surface; also what its rounding is relative to.
-
-    First by intervals, one axis after the other; what is left, by the Bezier net itself: surface only if the net
-    reaches from below m to above -m, m = 64 eps max |net|, its rounding.
-    """
-    low, high = _hull(coefficients, kernel)
-    widened = 64 * eps * np.maximum(np.abs(low), np.abs(high))
-    kinds = np.where(np.isnan(low), INCOMPLETE, EMPTY).astype(np.uint8)
-    asked = np.flatnonzero((low - widened <= 0) & (high + widened >= 0))
-    net_of_taps = np.kron(np.kron(kernel.bezier, kernel.bezier), kernel.bezier).T
-    magnitudes = np.abs(net_of_taps)
-    largest = 0.0
-    for start in range(0, len(asked), 16384):
-        cells = asked[start : start + 16384]
-        taps = _taps(coefficients, cells, kernel.taps)
-        net = taps @ net_of_taps
-        least, most = net.min(axis=1), net.max(axis=1)
-        size = np.maximum(np.abs(least), np.abs(most))
-        may = (least <= 64 * eps * size) & (most >= -64 * eps * size)
-        kinds.ravel()[cells[may]] = OCCUPIED
-        largest = max(largest, float((np.abs(taps[may]) @ magnitudes).max(initial=0.0)))
-    return kinds, largest
-
-
-def _taps(
-    coefficients: Float[np.ndarray, "m S S S"], cells: Integer[np.ndarray, " n"], taps: int
-) -> Float[np.ndarray, "n taps3"]:
-    """Gather the coefficients of cells given by their number in the bricks, z fastest."""
-    size = coefficients.shape[-1]
-    brick, i, j, k = np.unravel_index(cells, (len(coefficients), SIDE, SIDE, SIDE))
-    tap = np.arange(taps)
-    offset = ((tap[:, None, None] * size + tap[:, None]) * size + tap).ravel()
-    cubes: Float[np.ndarray, "n taps3"] = coefficients.reshape(-1)[
-        (((brick * size + i) * size + j) * size + k)[:, None] + offset
-    ]
-    return cubes
-
-
-def _hull(
-    coefficients: Float[np.ndarray, "m S S S"], kernel: Kernel
-) -> tuple[Float[np.ndarray, "m 8 8 8"], Float[np.ndarray, "m 8 8 8"]]:
-    """Bound the net of every cell by intervals, the Bezier form of one axis after the other; NaN where a tap is."""
-    low = high = coefficients
+def _any_tap(mask: Bool[np.ndarray, "m S S S"], kernel: Kernel) -> Bool[np.ndarray, "m 8 8 8"]:
+    """Say of every cell whether a mask holds at some coefficient of its stencil."""
     for axis in (1, 2, 3):
-        lows, highs = (
-            [bound[(slice(None),) * axis + (slice(tap, tap + SIDE),)] for tap in range(kernel.taps)]
-            for bound in (low, high)
-        )
-        rows = [_interval(row, lows, highs) for row in kernel.bezier]
-        low, high = rows[0]
-        for least, most in rows[1:]:
-            low, high = np.minimum(low, least), np.maximum(high, most)
-    return low, high
-
-
-def _interval(
-    weights: Float[np.ndarray, " taps"], lows: list[np.ndarray], highs: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Combine intervals with weights of either sign."""
-    used = [tap for tap, weight in enumerate(weights) if abs(weight) > 1e-15]  # what rounding left of a zero
-    if len(used) == 1 and weights[used[0]] == 1:
-        return lows[used[0]], highs[used[0]]
-    sums = []
-    for near, far in ((lows, highs), (highs, lows)):
-        ends = [(near if weights[tap] > 0 else far)[tap] for tap in used]
-        total = weights[used[0]] * ends[0]
-        for tap, end in zip(used[1:], ends[1:], strict=True):
-            total += weights[tap] * end
-        sums.append(total)
-    return sums[0], sums[1]
+        rows = [mask[(slice(None),) * axis + (slice(tap, tap + SIDE),)] for tap in range(kernel.taps)]
+        mask = reduce(np.logical_or, rows)
+    return mask
 
 
 def _has_cell(index: Integer[np.ndarray, "m 3"], shape: tuple[int, int, int]) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Rays in, hits and footprints out, as NumPy arrays: the renderer's parts one by one.
 
-`trace` finds hits, `transfer` moves rays with their differentials to them, `reflect` sends them on, `footprint` looks
-at the texture coordinates there. All take any `Field`, a grid's or an exact shape's.
+`trace` finds hits, `transfer` moves rays with their differentials to them, `reflect` sends them on (`glass.refract` as
+well), `footprint` looks at the texture coordinates there. All take any `Field`, a grid's or an exact shape's.
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class Footprint:
     chart
         Chart of the texture atlas.
     flags
-        Those of the hit, and SEAM.
+        Those of the hit and of the way to it, and SEAM.
     """
 
     uv: Float[np.ndarray, "n 2"]
@@ -125,7 +125,7 @@ def transfer(field: Field, rays_: Rays, *, on_surface: bool = False) -> tuple[Hi
     hits
         With flags HORIZON, CAUSTIC and EDGE.
     rays
-        At the hits; rays that miss stay as they are.
+        At the hits, with the hits' flags added to their own; rays that miss stay as they are.
     """
     _checked(rays_.p, rays_.d)
     ahead = _approach(field, rays_.p, rays_.d, on_surface)
@@ -143,7 +143,8 @@ def transfer(field: Field, rays_: Rays, *, on_surface: bool = False) -> tuple[Hi
     out = field.engine.run(program, [*columns, ahead])
     hits, moved = _hits(out, field, ahead), rays(out)
     p = np.where(hits.hit[:, None], moved.p + field.anchor, rays_.p)
-    return hits, Rays(p, moved.d, moved.dp_dx, moved.dp_dy, moved.dd_dx, moved.dd_dy)
+    flags = rays_.flags | hits.flags & ~Flag.MISS
+    return hits, Rays(p, moved.d, moved.dp_dx, moved.dp_dy, moved.dd_dx, moved.dd_dy, flags)
 
 
 def reflect(field: Field, hits: Hits, rays_: Rays) -> Rays:
@@ -157,7 +158,7 @@ def reflect(field: Field, hits: Hits, rays_: Rays) -> Rays:
     columns = rays_.columns()
     columns[:3] = (rays_.p - field.anchor).T
     out = rays(field.engine.run(program, [*columns, hits.hit.astype(np.int32)]))
-    return Rays(rays_.p, out.d, out.dp_dx, out.dp_dy, out.dd_dx, out.dd_dy)
+    return Rays(rays_.p, out.d, out.dp_dx, out.dp_dy, out.dd_dx, out.dd_dy, rays_.flags)
 
 
 def footprint(field: Field, hits: Hits, rays_: Rays, *, size: tuple[int, int] = (1, 1)) -> Footprint:
@@ -186,7 +187,7 @@ def footprint(field: Field, hits: Hits, rays_: Rays, *, size: tuple[int, int] = 
     columns[:3] = (rays_.p - field.anchor).T
     out = field.engine.run(program, [*columns, hits.hit.astype(np.int32), *hits.n.T])
     uv, dx, dy = (np.stack([out[a], out[b]], -1).astype(float) for a, b in (("u", "v"), ("ux", "vx"), ("uy", "vy")))
-    flags = hits.flags | np.where(out["seam"] > 0, Flag.SEAM, 0)
+    flags = hits.flags | rays_.flags | np.where(out["seam"] > 0, Flag.SEAM, 0)
     chart = np.where(hits.hit, out["chart"], -1)
     return Footprint(uv, dx, dy, out["lod"].astype(float), out["inv"].astype(float), chart, flags)
 
@@ -263,7 +264,7 @@ def _approach(field: Field, p: np.ndarray, d: np.ndarray, on_surface: bool) -> F
     """
     if on_surface:
         return np.zeros(len(p))
-    with np.errstate(divide="ignore", invalid="ignore"):  # a ray along a face divides 0 by 0: not a bound
+    with np.errstate(all="ignore"):  # a ray along a face divides 0 by 0, a tiny component overflows: no bounds
         crossing = (field.bounds[:, None, :] - p) / d
     first = np.nan_to_num(crossing.min(axis=0), nan=0.0, posinf=0.0, neginf=0.0).max(axis=-1)
     # Stop a rounding error short of the box, so that the march enters it from outside.

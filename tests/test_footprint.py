@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from datasets_synthetic import shape
-from sdfrender import Camera, Flag, Footprint, Hits, Rays, footprint, reflect, transfer
+from sdfrender import Camera, Flag, Footprint, Hits, Rays, footprint, nonlinear, nonlinearity, reflect, transfer
 from sdfrender.field import Mapped
-from sdfrender.footprint import derivatives, ellipse, invariant_level, level_of_detail
+from sdfrender.footprint import NONLINEAR_LIMIT, derivatives, ellipse, invariant_level, level_of_detail
 from sdfrender.rays import Beam
 from validate.displaced import richardson
 from validate.exact import ShapeField
@@ -161,3 +161,70 @@ def test_misses_have_no_footprint():
     assert isinstance(hits, Hits) and isinstance(seen, Footprint)
     assert not seen.uv.any() and not seen.duv_dx.any() and not seen.lod.any() and (seen.chart == -1).all()
     assert (seen.flags == Flag.MISS).all()
+
+
+def growing(rate, height=5, width=7):
+    """Footprints that grow by e^rate from column to column, on one chart."""
+    size = np.exp(rate * np.arange(width))
+    jacobian = np.array([[1.0, 0.3], [-0.2, 2.0]]) * size[:, None, None]
+    whole = np.ones((height, width), bool)
+    return np.broadcast_to(jacobian, (height, width, 2, 2)).copy(), whole, np.zeros((height, width), int)
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["columns", "rows"])
+def test_nonlinearity_is_the_change_to_the_next_pixel(turned):
+    """e^0.1 - 1 upward, 1 - e^-0.1 from the last column back; whatever the unit, along either axis."""
+    for unit in (1.0, 1e-6):
+        jacobian, hit, chart = growing(0.1)
+        if turned:
+            jacobian, hit, chart = jacobian.swapaxes(0, 1), hit.T, chart.T
+        share = nonlinearity(unit * jacobian, hit, chart)
+        share = share.T if turned else share
+        assert share[:, :-1] == pytest.approx(np.expm1(0.1), rel=1e-13)
+        assert share[:, -1] == pytest.approx(-np.expm1(-0.1), rel=1e-13)
+
+
+def test_linear_footprints_are_linear():
+    """Equal ones have a share of 0; a single one has nothing to be compared with."""
+    assert not nonlinearity(*growing(0.0)).any()
+    assert nonlinearity(*growing(3.0, 1, 1)).tolist() == [[0.0]]
+
+
+def test_other_charts_and_misses_are_not_compared():
+    """A column on a chart of its own, a pixel that hit nothing with nonsense in it: neither counts, for nobody."""
+    jacobian, hit, chart = growing(0.0)
+    jacobian[:, 3] *= 50
+    chart[:, 3] = 1
+    jacobian[2, 0], hit[2, 0] = 1e9, False
+    assert not nonlinearity(jacobian, hit, chart).any()
+    chart[:, 3] = 0
+    share = nonlinearity(jacobian, hit, chart)
+    assert share[0].tolist() == pytest.approx([0, 0, 49, 0.98, 49, 0, 0], rel=1e-13)
+
+
+def test_the_flag_is_half_a_level():
+    """Growth by 2 - sqrt(2) of itself per pixel is 1 - 1/sqrt(2) within half a one: a level off by 1/2 at its side."""
+    assert np.log2(1 - NONLINEAR_LIMIT / 2) == pytest.approx(-0.5, rel=1e-14)
+    for rate, flag in ((np.log1p(0.99 * NONLINEAR_LIMIT), 0), (np.log1p(1.01 * NONLINEAR_LIMIT), Flag.NONLINEAR)):
+        assert (nonlinear(nonlinearity(*growing(rate)))[:, :-1] == flag).all()
+
+
+def test_a_footprint_of_no_extent_is_not_linear_beside_one():
+    jacobian, hit, chart = growing(0.0)
+    jacobian[2, 2] = 0
+    share = nonlinearity(jacobian, hit, chart)
+    assert np.isfinite(share).all() and share[2, 2] > 1e15 and share[2, 3] == 1
+
+
+def test_nonlinearity_halves_with_the_pixels():
+    """The torus' footprints change smoothly: half the pixel, half the share, away from its silhouette."""
+    field, shares = ShapeField(TORUS[0]), []
+    for size in (48, 96):
+        rays = Camera((0.3, 1.9, 2.3), (0.0, 0.0, 0.0), fov=42.0, size=(size, size)).rays()
+        hits, at = transfer(field, rays)
+        seen = footprint(field, hits, at)
+        image = np.stack([seen.duv_dx, seen.duv_dy], axis=-1).reshape(size, size, 2, 2)
+        hit = hits.hit.reshape(size, size)
+        share = nonlinearity(image, hit, seen.chart.reshape(size, size))
+        shares.append(np.median(share[hit]))
+    assert 1.7 < shares[0] / shares[1] < 2.3, shares

@@ -2,48 +2,20 @@
 
 import numpy as np
 import pytest
+from beams import perpendicular, perturbed, symplectic_defect
 
 from datasets_synthetic import shape
 from datasets_synthetic.sphere import Sphere
+from datasets_synthetic.union import Union
 from sdfbake import Grid
-from sdfrender import Camera, Flag, GridField, Rays, optics, reflect, transfer
+from sdfrender import GridField, Rays, optics, reflect, transfer
+from sdfrender.field import Jet
+from sdfrender.rays import beam, components, rays
+from sdfrender.vector import Symmetric
 from validate.closed import ExactReference
 from validate.exact import ShapeField
 
 EPS = np.finfo(float).eps
-
-
-def perpendicular(vectors, d):
-    return vectors - np.sum(vectors * d, axis=1, keepdims=True) * d
-
-
-def perturbed(p, d, rng):
-    """Rays with four independent perturbations each, as two bundles of two."""
-    n = len(p)
-    moves = [(perpendicular(rng.normal(size=(n, 3)), d), perpendicular(rng.normal(size=(n, 3)), d)) for _ in range(4)]
-    return [Rays(p, d, a[0], b[0], a[1], b[1]) for a, b in (moves[:2], moves[2:])]
-
-
-def perturbations(bundles):
-    """The four (dp, dd) of two bundles, dp taken across the ray, where the form looks."""
-    pairs = [(b.dp_dx, b.dd_dx) for b in bundles] + [(b.dp_dy, b.dd_dy) for b in bundles]
-    return [(perpendicular(dp, bundles[0].d), dd) for dp, dd in pairs]
-
-
-def symplectic_defect(before, after):
-    """Greatest change of dd_1 . dp_2 - dd_2 . dp_1 over all pairs, relative to the map's gain squared.
-
-    Omega is a number per pair of perturbations and must stay; rounding grows with the squared length of the results.
-    """
-    start, end = perturbations(before), perturbations(after)
-    size = np.max([np.sum(dp * dp + dd * dd, axis=1) for dp, dd in start + end], axis=0)
-
-    def form(moves, i, j):
-        (dp_i, dd_i), (dp_j, dd_j) = moves[i], moves[j]
-        return np.sum(dd_i * dp_j - dd_j * dp_i, axis=1)
-
-    defects = [np.abs(form(start, i, j) - form(end, i, j)) / size for i in range(4) for j in range(i)]
-    return np.max(defects, axis=0)
 
 
 def mirror_rays(rng, count=300):
@@ -57,8 +29,8 @@ def mirror_rays(rng, count=300):
 def through_mirror(field, bundles):
     """Transfer, mirror, transfer; the rays that make it, before and after, and what lies between."""
     after, middle, ok = [], [], True
-    for rays in bundles:
-        hits, at = transfer(field, rays)
+    for bundle in bundles:
+        hits, at = transfer(field, bundle)
         out = reflect(field, hits, at)
         again, end = transfer(field, out, on_surface=True)
         ok = ok & hits.hit & again.hit
@@ -148,8 +120,7 @@ def test_faults_break_the_form(fault, rng, monkeypatch):
 
 def test_identities_at_every_step(field, rng):
     """n.n = 1, d.d = 1, n.dp = 0 on the surface, d.dd = 0 before and after: a dozen roundings each, of the lengths."""
-    rays = perturbed(*mirror_rays(rng), rng)[0]
-    hits, at = transfer(field, rays)
+    hits, at = transfer(field, perturbed(*mirror_rays(rng), rng)[0])
     out = reflect(field, hits, at)
     again, end = transfer(field, out, on_surface=True)
     for h, moved in ((hits, at), (again, end)):
@@ -243,87 +214,54 @@ def test_a_sphere_by_its_closed_form(sphere, directions, rng):
     assert np.abs(out.d - closed.d)[clear].max() < 1e-12
 
 
-def hollow(choice, n=48):
-    """The inside of a ball of radius 0.8 as empty space: a concave mirror all around."""
-    ball = Grid.from_function(Sphere(0.8), n, uv_mode="none")
-    axis = [
-        np.arange(count) * ball.lattice.spacing + ball.lattice.origin[a] for a, count in enumerate(ball.lattice.shape)
-    ]
-    x, y, z = np.meshgrid(*axis, indexing="ij")
-    values = 0.8 - np.sqrt(x * x + y * y + z * z)
-    return GridField(
-        Grid.from_dense(values, origin=ball.lattice.origin, spacing=ball.lattice.spacing), "bspline", choice
-    )
+BOUNCES, GAP = 60, 0.5  # between two balls of radius 1 that face each other: an unstable resonator
+STARTS = np.array([[1e-3, 0.0], [0.0, 2e-3]])  # (dp, dd) in the two planes through the axis
+STEP = np.array([[1, 0], [2, 1]]) @ np.array([[1, GAP], [0, 1]])  # transfer, then mirror: gain 2.618
+ENDS = [np.linalg.matrix_power(STEP, BOUNCES) @ start for start in STARTS]
 
 
-def test_a_concave_mirror_has_a_focus(choice):
-    """Near the axis rays that run parallel meet at r / 2; the beam's cross-section vanishes there: CAUSTIC.
-
-    Before the mirror the beam has none. A ray that stops at a surface short of the focus has none either: that is
-    tested on the beam itself, at 0.9 and 1.1 of the focal length.
-    """
-    field = hollow(choice)
-    p, d = np.array([[0.05, 0.02, -0.5]]), np.array([[0.0, 0.0, 1.0]])
-    width = np.array([[1e-3, 0, 0]]), np.array([[0, 1e-3, 0]])
-    rays = Rays(p, d, *width, np.zeros((1, 3)), np.zeros((1, 3)))
-    hits, at = transfer(field, rays)
-    assert hits.hit.all() and not hits.flags[0] & Flag.CAUSTIC
-    out = reflect(field, hits, at)
-    again, _ = transfer(field, out, on_surface=True)
-    assert again.hit.all() and again.flags[0] & Flag.CAUSTIC
-    # The focus: p + t d with dp + t dd = 0, r / 2 from the mirror; spherical aberration of (0.05 / 0.8)^2.
-    focus = -np.sum(out.dp_dx * out.dd_dx, axis=1) / np.sum(out.dd_dx**2, axis=1)
-    assert focus[0] == pytest.approx(0.4, rel=2e-2)
-
-    def program(xp, *c):
-        beam = optics.Beam(*(tuple(c[i : i + 3]) for i in range(0, 18, 3)))
-        return {str(share): xp.integer(optics.passes_caustic(xp, beam, share * c[18])) for share in (0.9, 1.1)}
-
-    out = choice.engine.run(program, [*out.columns(), focus])
-    assert (out["0.9"].item(), out["1.1"].item()) == (0, 1)
+def axial(start_x, start_y):
+    """A ray along z with a beam around it, one plane each."""
+    zero, (px, qx), (py, qy) = np.zeros((1, 3)), start_x, start_y
+    moves = [np.array([v]) for v in ([px, 0, 0], [0, py, 0], [qx, 0, 0], [0, qy, 0])]
+    return Rays(zero, np.array([[0.0, 0.0, 1.0]]), *moves)
 
 
-def test_a_diverging_beam_has_no_caustic(choice, sphere):
-    field = GridField(Grid.from_function(sphere, 32, uv_mode="none"), "bspline", choice)
-    hits, at = transfer(field, Camera((0.0, 0.0, 2.0), (0.0, 0.0, 0.0), size=(16, 16)).rays())
-    assert not (hits.flags & Flag.CAUSTIC).any()
-    mirrored = reflect(field, hits, at)
-    again, _ = transfer(field, mirrored, on_surface=True)
-    assert not (again.flags & Flag.CAUSTIC).any()
+def grown(out, eps):
+    """Check a beam after all bounces. All entries of the matrix are positive: nothing cancels, 8 roundings a step."""
+    limit = 8 * BOUNCES * eps
+    assert ENDS[0][0] > 1e21
+    assert [out.dp_dx[0, 0], out.dd_dx[0, 0]] == pytest.approx(list(ENDS[0]), rel=limit)
+    assert [out.dp_dy[0, 1], out.dd_dy[0, 1]] == pytest.approx(list(ENDS[1]), rel=limit)
 
 
-def test_grazing_footprints_cross_the_horizon(choice):
-    """A plane seen at cosine c by pixels of 1e-2 rad: half a pixel of 5e-3 crosses the horizon iff c is below it."""
-    x = np.arange(32.0)[:, None, None] + np.zeros((32, 8, 8))
-    field = GridField(Grid.from_dense(x - 15.25), "linear", choice)
-    cosines = np.array([0.5, 0.1, 0.02, 0.006, 0.004, 0.001])
-    sine = np.sqrt(1 - cosines**2)
-    d = np.stack([-cosines, sine, 0 * sine], axis=-1)
-    across = 1e-2 * np.stack([sine, cosines, 0 * sine], axis=-1)
-    p = np.array([15.25, 3.5, 3.5]) - 2.0 * d
-    hits, _ = transfer(field, Rays(p, d, 0 * d, 0 * d, across, 0 * d + [0, 0, 1e-2]))
-    assert hits.hit.all()
-    assert ((hits.flags & Flag.HORIZON) > 0).tolist() == [False, False, False, False, True, True]
+def test_facing_mirrors_grow_by_their_matrix(choice):
+    """(dp, dd) by the matrix. The beam reaches 1e22 and its square passes float32: no overflow, and no caustic, as it
+    spreads."""
+
+    def bounce(xp, *c):
+        thin, zero, one = beam(c[:18]), xp.full(c[0], 0.0), xp.full(c[0], 1.0)
+        none, n = (zero, zero, zero), (zero, zero, -thin.d[2])
+        jet = Jet(zero, n, Symmetric(one, one, zero, zero, zero, zero))
+        at = optics.transfer(xp, thin, jet, none, c[18])
+        turns = [optics.normal_differential(xp, jet, n, dp) for dp in (at.dp_dx, at.dp_dy)]
+        out = components(optics.reflect(at, n, *turns))
+        return {**out, "caustic": xp.integer(optics.passes_caustic(xp, thin, c[18]))}
+
+    bundle = axial(*STARTS)
+    for _ in range(BOUNCES):
+        named = choice.engine.run(bounce, [*bundle.columns(), np.array([GAP])])
+        assert not named["caustic"].any()
+        bundle = rays(named)
+    grown(bundle, choice.engine.eps)
 
 
-def test_an_edge_says_so(choice):
-    """A box's edge is where interpolation cannot have a unit gradient; its faces can. Noise is no distance at all."""
-    box = shape("box")
-    field = GridField(Grid.from_function(box, 40, uv_mode="none"), "bspline", choice)
-    low, high = box.bounds
-    middle = 0.5 * (low + high)
-    edge = np.array([high[0], high[1], middle[2]])
-    targets = np.array([edge, [high[0], middle[1], middle[2]], [middle[0], middle[1], high[2]]])
-    outward = np.array([[1.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    nothing = np.zeros((3, 3))
-    rays = Rays(targets + outward, -outward, nothing, nothing, nothing, nothing)
-    hits, _ = transfer(field, rays)
-    assert hits.hit.all()
-    assert ((hits.flags & Flag.EDGE) > 0).tolist() == [True, False, False]
-    values = np.random.default_rng(3).normal(size=(9, 9, 9))
-    noise = GridField(Grid.from_dense(values), "bspline", choice)
-    hits, _ = transfer(
-        noise, Rays(np.full((1, 3), 4.0) - [[9, 0, 0]], np.array([[1.0, 0, 0]]), *(nothing[:1] for _ in range(4)))
-    )
-    assert hits.hit.all() and not hits.flags[0] & Flag.EDGE
+def test_facing_balls_grow_by_their_matrix():
+    """The same along the axis of two exact balls, where symmetry keeps the ray: hit by hit, through `transfer`."""
+    balls = (Sphere(1.0, (0.0, 0.0, 1.0 + GAP)), Sphere(1.0, (0.0, 0.0, -1.0)))
+    field, bundle = ShapeField(Union(balls, ("far", "near"))), axial(*STARTS)
+    for number in range(BOUNCES):
+        hits, at = transfer(field, bundle, on_surface=number > 0)
+        assert hits.t[0] == pytest.approx(GAP, rel=4 * EPS) and not hits.flags[0]
+        bundle = reflect(field, hits, at)
+    grown(bundle, EPS)

@@ -1,0 +1,106 @@
+"""Slabs and occupied cells: certificates against values sampled inside the cells."""
+
+import numpy as np
+import pytest
+
+from sdfbake import Grid
+from sdfbake.bricks import SIDE
+from sdfrender.kernels import NAMES, kernel
+from sdfrender.slabs import Slabs, slabs
+from sdfrender.stencils import Stencils, stencils
+
+KINDS = [np.float64, np.float32]
+
+
+def noise(rng, offset=0.0):
+    return Grid.from_dense(rng.normal(size=(11, 18, 9)) + offset)
+
+
+def prepared(grid: Grid, name: str, kind=np.float64, margin: float = 0.0) -> tuple[Stencils, Slabs]:
+    made = stencils(grid.distance, grid.bricks, grid.lattice.shape, kernel(name), kind)
+    return made, slabs(made, kernel(name), lambda largest: margin)
+
+
+def values(made: Stencils, name: str, cell, u):
+    """The interpolant in cells (n,) at places (m, 3), the same in each."""
+    k = kernel(name)
+    brick, local = np.divmod(cell, SIDE**3)
+    corner = np.stack([local >> 6, local >> 3 & 7, local & 7], axis=1)
+    tap = np.arange(k.taps)
+    x, y, z = (corner[:, a, None] + tap for a in range(3))
+    cube = made.coefficients[brick[:, None, None, None], x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
+    weights = [u[:, a, None] ** np.arange(k.degree + 1) @ k.weights.T for a in range(3)]
+    return np.einsum("nijk,mi,mj,mk->nm", cube.astype(float), *weights, optimize=True)
+
+
+def places(rng):
+    """The cell's corners, where slabs are tight, and anywhere."""
+    corners = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.concatenate([corners, rng.uniform(size=(60, 3))])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", NAMES)
+def test_the_interpolant_stays_in_its_slab(name, kind, rng):
+    made, found = prepared(noise(rng), name, kind)
+    u = places(rng)
+    f = values(made, name, found.cell, u)
+    middle = found.plane[:, :1] + found.plane[:, 1:].astype(float) @ (u - 0.5).T
+    assert (np.abs(f - middle) <= found.delta[:, None]).all()
+    assert len(found.cell) > 500
+    if name != "catmull-rom":  # its net's inner points lie outside the curve by up to a third of the slope
+        # Not idle: somewhere half of the slab is used.
+        assert (np.abs(f - middle).max(axis=1) > 0.5 * found.delta).any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", NAMES)
+def test_cells_that_are_left_out_keep_their_distance(name, kind, rng):
+    margin = 0.02
+    made, found = prepared(noise(rng, 2.0), name, kind, margin)
+    empty = np.flatnonzero(made.complete)
+    empty = empty[~np.isin(empty, found.cell)]
+    assert len(empty) > 20
+    assert np.abs(values(made, name, empty, places(rng))).min() > margin
+    kept = values(made, name, found.cell, places(rng))
+    assert (np.abs(kept).min(axis=1) < 10 * margin).mean() > 0.15  # of those that are kept many are needed
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_affine_function_is_its_own_slab(name, rng):
+    """Half a plane's width is rounding of single precision: 2 * 64 * 2^-23 of the taps at most ten times over."""
+    slope = np.array([0.3, -0.7, 0.2])
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in (17, 9, 12)), indexing="ij"), axis=-1)
+    found = prepared(Grid.from_dense(index @ slope + 1.3), name)[1]
+    np.testing.assert_allclose(found.plane[:, 1:], np.broadcast_to(slope, (len(found.cell), 3)), atol=2e-5)
+    assert found.delta.max() < 1280 * 2.0**-23 * 3 and len(found.cell) > 50
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_largest_sum_of_magnitudes(name, rng):
+    made, found = prepared(noise(rng), name)
+    k = kernel(name)
+    net = np.abs(np.kron(np.kron(k.bezier, k.bezier), k.bezier))
+    brick, local = np.divmod(found.cell, SIDE**3)
+    sums = []
+    for b, c in zip(brick, local, strict=True):
+        x, y, z = (slice(i, i + k.taps) for i in (c >> 6, c >> 3 & 7, c & 7))
+        cube = made.coefficients[b, x, y, z]
+        sums.append((net @ np.abs(cube).ravel()).max())
+    assert max(sums) <= found.largest <= max(sums) * (1 + 1e-4)
+
+
+def test_incomplete_cells_are_never_occupied(sphere):
+    """A surface crosses |nx| + |ny| + |nz| cells per unit of area, 3/2 on average over the sphere."""
+    grid = Grid.from_function(sphere, 40, uv_mode="none")
+    made, found = prepared(grid, "bspline")
+    assert made.complete.reshape(-1)[found.cell].all() and not made.complete.all()
+    crossed = 1.5 * 4 * np.pi * (0.8 / grid.lattice.spacing) ** 2
+    assert crossed * 0.9 < len(found.cell) < crossed * 1.5
+
+
+def test_no_surface_no_slabs():
+    grid = Grid.from_dense(np.ones((9, 9, 9)))
+    for name in NAMES:
+        found = prepared(grid, name)[1]
+        assert len(found.cell) == 0 and found.largest == 0
