@@ -124,6 +124,8 @@ def bake(
         source = refined.mesh if refined else mesh
         if refined:
             surface, lattice = Surface.of(source), _lattice(source, resolution, options, cube)
+        budget = memory.Budget.of(max_memory, surface, lattice, options.modes, len(mesh.part_names))
+        budget.check_tables()
         normals = Pseudonormals.of(surface) if options.may_orient else None
         inset = options.shell / 2 / lattice.spacing
         target = Target.of(xp, lattice.to_grid(source.vertices), surface.faces, lattice.shape, normals, inset)
@@ -132,7 +134,6 @@ def bake(
     oriented = options.may_orient and (diagnosis.certified or sign == "pseudonormal")
     if not oriented:
         target = target._replace(normals=None)
-    budget = memory.Budget.of(max_memory, surface, lattice, options.modes, len(mesh.part_names))
     with ThreadPoolExecutor(1) as aside:  # the tree for the other method's signs grows beside the descent
         growing = aside.submit(Winding.of, surface)
         samples = _sampled(xp, target, lattice, budget, report)
@@ -197,7 +198,6 @@ def _refined(mesh: Mesh, lattice: Lattice, options: Options, report: Progress) -
 def _sampled(xp: Engine, target: Target, lattice: Lattice, budget: memory.Budget, report: Progress) -> _Samples:
     """Find the bricks and fill them; those without a sample in reach are dropped."""
     report("bricks", 0)
-    budget.check_tables()
     found = brick_candidates(xp.at(32), target.coarse, target.size, lattice.shape, REACH + target.inset)
     report("bricks", 1)
     count = 0 if found is None else len(found.parent)

@@ -67,10 +67,10 @@ class Budget:
     def of(limit: float | None, surface: Surface, lattice: Lattice, modes: tuple[str, ...], parts: int) -> "Budget":
         """Estimate; `limit` in gigabytes (2^30 bytes), None for what the machine has."""
         bricks = prod(counts(lattice.shape))
-        # A brick is crossed by no more surface than 8^2 voxels' worth on average; tight folds may share one: a half.
         per_sample = 4 + 4 + (12 if "grid" in modes else 0) + (18 if "layers" in modes else 0)
         per_sample += 1 if parts > 1 else 0
         fixed = _FIXED + _TABLE * bricks + _FACE * len(surface.faces)
+        # A brick is crossed by no more surface than 8^2 voxels' worth on average; tight folds may share one: a half.
         least = min(surface.area / lattice.spacing**2 / SIDE**2 / 2, bricks)
         bytes_ = available() if limit is None else limit * GIB
         return Budget(bytes_, limit is not None, fixed, least, per_sample * SIDE**3, max(lattice.shape))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from test_bake_commands import run
+from test_grid import Ball
 
 from sdfbake import BadInput, Grid, Lattice
 from sdfbake.bricks import Bricks, in_lattice
@@ -13,25 +14,6 @@ from sdfbake.compare import compare
 from sdfbake.faces import NONE, FaceTable
 from sdfbake.lattice import BAND
 from sdfbake.metadata import Metadata
-
-
-class Ball:
-    """A ball with charts and parts."""
-
-    bounds = np.array([[-1.0, -1, -1], [1, 1, 1]])
-    part_names = ("back", "front")
-
-    def distance(self, p):
-        return np.linalg.norm(p, axis=-1) - 1
-
-    def uv(self, p):
-        return p[:, :2] * 0.5 + 0.5
-
-    def chart(self, p):
-        return (p[:, 2] > 0).astype(int)
-
-    def part(self, p):
-        return (p[:, 0] > 0).astype(int)
 
 
 @pytest.fixture(scope="module")
