@@ -24,15 +24,17 @@ MESHES := bunny $(SHAPES) sphere
 TEXTURES := page checker zone
 FIGURES := figure-4-linear figure-4-cubic figure-5 figure-6-linear figure-6-cubic \
 	figure-7-linear figure-7-cubic figure-7-bspline figure-8
-RENDERS := $(FIGURES) $(FIGURES:%=%-baked) figure-4-reference reference torus bunny
+OPTICS := glass environment lights
+RENDERS := $(FIGURES) $(FIGURES:%=%-baked) figure-4-reference reference torus bunny $(OPTICS)
 OBJECTS := bunny torus mirror
 # On whose atlases the representations of texture coordinates are compared.
 CHARTED := bunny torus
-SUITES := $(OBJECTS:%=footprints-%) $(CHARTED:%=representations-%) figures opinion convergence
+SUITES := $(OBJECTS:%=footprints-%) $(CHARTED:%=representations-%) figures pictures opinion convergence misses
 TIMED := frontier engines representations-clock
 
 GRIDS := $(foreach name,$(OBJECTS),$(name)@64 $(name)@512) $(foreach name,$(CHARTED),$(name)@128 $(name)@256) sphere@16
-EXACT_GRIDS := exact-mirror@64 exact-mirror@512 exact-torus@64 exact-torus@512 exact-sphere@16
+EXACT_GRIDS := exact-mirror@64 exact-mirror@512 exact-torus@64 exact-torus@512 exact-sphere@16 exact-sphere@64 \
+	exact-sheet@128
 
 # Of the benchmark against other bakers, which the report shows where it was run.
 BAKED := bunny bunny-900k box-12
@@ -45,7 +47,7 @@ runs = $(BUILD)/runs/$(1).jsonl
 MESH_FILES := $(foreach m,$(MESHES),$(call mesh,$(m)))
 GRID_FILES := $(foreach g,$(GRIDS) $(EXACT_GRIDS),$(call grid,$(g)))
 RENDER_FILES := $(foreach r,$(RENDERS),$(call render,$(r)))
-TEXTURE_FILES := $(TEXTURES:%=$(BUILD)/textures/%.png)
+TEXTURE_FILES := $(TEXTURES:%=$(BUILD)/textures/%.png) $(BUILD)/textures/sky.exr
 RUN_FILES := $(foreach s,$(SUITES) $(TIMED),$(call runs,$(s)))
 
 # The code that each stage rests on: a change there makes its products anew.
@@ -56,10 +58,10 @@ BAKE_CODE := $(wildcard sdfbake/*.py)
 RENDER_CODE := $(wildcard sdfrender/*.py sdfbake/engine/*.py) $(addprefix sdfbake/,grid.py gridfile.py bricks.py lattice.py)
 CHECK_CODE := $(wildcard validate/*.py validate/suites/*.py)
 
-# Pythons in which the other bakers are looked for, beside the system's and ours.
-export PEER_PYTHONS ?= $(wildcard $(BUILD)/trueform/bin/python)
+# Pythons in which other bakers and renderers are looked for, beside the system's and ours; separated as in PATH.
+export PEER_PYTHONS ?= $(subst $(eval ) ,:,$(wildcard $(BUILD)/trueform/bin/python $(BUILD)/mitsuba/bin/python))
 
-.PHONY: help setup report test format-check lint types imports pytest bench bench-bake trueform clean meshes grids renders
+.PHONY: help setup report test format-check lint types imports pytest bench bench-bake bench-render trueform mitsuba clean meshes grids renders
 .DEFAULT_GOAL := help
 
 help:  ## say what can be made
@@ -99,6 +101,9 @@ $(call mesh,box-12): $(MESH_CODE) | $(READY)
 
 $(BUILD)/textures/%.png: datasets_synthetic/texture.py datasets_synthetic/__main__.py | $(READY)
 	$(PY) -m datasets_synthetic texture $* -o $@
+
+$(BUILD)/textures/sky.exr: datasets_synthetic/sky.py datasets_synthetic/__main__.py | $(READY)
+	$(PY) -m datasets_synthetic texture sky -o $@
 
 $(RENDERS:%=$(BUILD)/scenes/%.toml) &: datasets_synthetic/scenes.py datasets_synthetic/__main__.py | $(READY)
 	$(PY) -m datasets_synthetic scenes -o $(BUILD)/scenes
@@ -140,22 +145,27 @@ $(foreach f,figure-7-linear figure-7-cubic figure-7-bspline,$(eval $(call uses,$
 $(foreach f,figure-7-linear figure-7-cubic figure-7-bspline,$(eval $(call uses,$(f)-baked,mirror@64,$(PAGE))))
 $(call render,reference): $(PAGE)
 $(foreach s,torus bunny,$(eval $(call uses,$(s),$(s)@512,$(CHECKER))))
+SKY := $(BUILD)/textures/sky.exr
+$(eval $(call uses,glass,exact-sphere@64,$(call grid,exact-sheet@128) $(PAGE) $(SKY)))
+$(eval $(call uses,environment,exact-torus@64,$(SKY)))
+$(eval $(call uses,lights,bunny@512,$(call grid,exact-sheet@128) $(PAGE)))
 
 # ---- experiments and report ------------------------------------------------------------------------------------------
 report: $(BUILD)/report/index.html  ## the main job: build/report/index.html
 	@echo "the report is $<"
 
-# The benchmark of bakers is shown where it lies, and never run for the report.
-SHOWN := $(RUN_FILES) $(wildcard $(call runs,baking))
-$(call runs,baking): ;
+# The benchmarks against other tools are shown where they lie, and never run for the report.
+SHOWN := $(RUN_FILES) $(wildcard $(call runs,baking) $(call runs,rendering))
+$(call runs,baking) $(call runs,rendering): ;
 
-$(BUILD)/report/index.html: $(SHOWN) $(wildcard validate/*.py validate/peers/limits.py validate/sections/*.py validate/templates/*) | $(READY)
+$(BUILD)/report/index.html: $(SHOWN) $(wildcard validate/*.py validate/peers/*.py validate/sections/*.py validate/templates/*) | $(READY)
 	$(PY) -m validate report $(SHOWN) -o $(@D)
 
 $(BUILD)/runs/%.jsonl: $(CHECK_CODE) $(RENDER_CODE) | $(READY)
 	$(PY) -m validate run $* -o $@ --build $(BUILD)
 
-$(call runs,figures): $(filter-out %/torus.exr %/bunny.exr,$(RENDER_FILES))
+$(call runs,figures): $(filter-out $(foreach r,torus bunny $(OPTICS),$(call render,$(r))),$(RENDER_FILES))
+$(call runs,pictures): $(foreach r,$(OPTICS),$(call render,$(r)))
 # One file of runs per object, so that they are made side by side.
 $(BUILD)/runs/footprints-%.jsonl: $(BUILD)/meshes/%.ply $(BUILD)/grids/%@64.zarr.zip $(BUILD)/grids/%@512.zarr.zip \
 		$(CHECK_CODE) $(RENDER_CODE) | $(READY)
@@ -199,6 +209,13 @@ bench: $(READY)  ## the timed experiments alone, anew
 
 bench-bake: $(foreach m,$(BAKED),$(call mesh,$(m))) | $(READY)  ## ours against OpenVDB, trueform, Open3D, where they are
 	$(PY) -m validate run baking -o $(call runs,baking) --build $(BUILD)
+
+bench-render: | $(READY)  ## ours against Mitsuba's sdfgrid, where it is
+	$(PY) -m validate run rendering -o $(call runs,rendering) --build $(BUILD)
+
+mitsuba:  ## install Mitsuba 3 for bench-render, in an environment of its own
+	$(PYTHON) -m venv $(BUILD)/mitsuba
+	$(BUILD)/mitsuba/bin/python -m pip install --quiet --disable-pip-version-check numpy mitsuba
 
 trueform:  ## install trueform for bench-bake; PolyForm Noncommercial: yours to accept
 	$(PYTHON) -m venv $(BUILD)/trueform

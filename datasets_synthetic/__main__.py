@@ -1,6 +1,6 @@
 """Command line of the room: `python -m datasets_synthetic list | make | sample | texture | scenes`.
 
-In: names. Out: mesh files (PLY), grids sampled from exact shapes (Zarr), textures (PNG), scenes (TOML).
+In: names. Out: mesh files (PLY), grids sampled from exact shapes (Zarr), textures (PNG, EXR), scenes (TOML).
 """
 
 from pathlib import Path
@@ -10,6 +10,8 @@ import click
 
 from datasets_synthetic import real, registry
 from datasets_synthetic.scenes import scene, scene_names
+from datasets_synthetic.sky import NAME as SKY
+from datasets_synthetic.sky import save_sky
 from datasets_synthetic.texture import save_texture, textures
 from sdfbake.atomic import replacing
 from sdfbake.commandline import print_json, run
@@ -63,10 +65,15 @@ def sample(name: str, resolution: int, output: Path, uv_mode: str, *, cube: bool
 
 @cli.command()
 @click.argument("name")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Picture file, .png.")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="Picture file, .png; .exr for the sky."
+)
 def texture(name: str, output: Path) -> None:
     """Draw the texture NAME."""
-    save_texture(name, output)
+    if name == SKY:
+        save_sky(output)
+    else:
+        save_texture(name, output)
 
 
 @cli.command()
@@ -97,7 +104,7 @@ def _catalogue() -> dict[str, Any]:
         )
     for name, (_, about) in real.FILES.items():
         meshes.append({"name": name, "about": about, "exact": False, "installed": _installed(name)})
-    return {"meshes": meshes, "textures": list(textures()), "scenes": scene_names()}
+    return {"meshes": meshes, "textures": [*textures(), SKY], "scenes": scene_names()}
 
 
 def _installed(name: str) -> bool:

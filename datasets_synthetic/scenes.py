@@ -1,4 +1,4 @@
-"""Scenes as TOML: the figures of Galim 2018 and pictures of every shape.
+"""Scenes as TOML: the figures of Galim 2018, pictures of shapes, and of glass, lights and an environment.
 
 In: a name. Out: the text of a scene file whose paths expect `scenes/`, `grids/` and `textures/` side by side.
 
@@ -107,7 +107,148 @@ grid = "../grids/{grid}.zarr.zip"
 materials = [{{ type = "diffuse", texture = "checker" }}]
 """
 
-_TEMPLATES = {"mirror": _MIRROR, "normals": _NORMALS, "textured": _TEXTURED}
+_GLASS = """\
+# A ball of glass, a mirror and a checkered ball on a page of text, under a sky with a sun.
+[camera]
+position = [0.0, 1.3, 4.2]
+target = [0.0, -0.1, 0.0]
+fov = 40.0
+
+[film]
+size = [768, 480]
+supersample = {supersample}
+outputs = ["rgb"]
+
+[trace]
+kernel = "{kernel}"
+bounces = 8
+splits = 2
+
+[environment]
+image = "../textures/sky.exr"
+
+[[lights]]
+type = "directional"
+direction = [-0.48, -0.64, -0.6]
+irradiance = [2.5, 2.3, 2.0]
+
+[[textures]]
+name = "page"
+image = "../textures/page.png"
+filter = "{filter}"
+
+[[textures]]
+name = "squares"
+type = "checker"
+squares = [12, 12]
+
+[[assets]]
+grid = "../grids/exact-sphere@64.zarr.zip"
+translate = [-1.0, 0.0, 0.3]
+materials = [{{ type = "glass", index = 1.5 }}]
+
+[[assets]]
+grid = "../grids/exact-sphere@64.zarr.zip"
+translate = [1.0, 0.0, -0.3]
+materials = [{{ type = "mirror", colour = [0.95, 0.8, 0.5] }}]
+
+[[assets]]
+grid = "../grids/exact-sphere@64.zarr.zip"
+scale = 0.4
+translate = [0.25, -0.48, 1.0]
+materials = [{{ type = "diffuse", texture = "squares" }}]
+
+[[assets]]
+grid = "../grids/exact-sheet@128.zarr.zip"
+scale = 2.2
+rotate = [1, 0, 0, -90]
+translate = [0.0, -0.8, 0.0]
+materials = [{{ type = "diffuse", texture = "page" }}]
+"""
+
+_ENVIRONMENT = """\
+# A mirror torus in a sky, without perspective: every reflection is filtered by the ray's own differential.
+[camera]
+type = "orthographic"
+position = [0.0, 2.2, 2.6]
+target = [0.0, 0.0, 0.0]
+height = 2.6
+
+[film]
+size = [512, 512]
+supersample = {supersample}
+outputs = ["rgb", "N", "curvature", "flags"]
+
+[trace]
+kernel = "{kernel}"
+bounces = 6
+
+[environment]
+image = "../textures/sky.exr"
+filter = "{filter}"
+
+[[assets]]
+grid = "../grids/{grid}.zarr.zip"
+materials = [{{ type = "mirror" }}]
+"""
+
+_LIGHTS = """\
+# The bunny on a page of text, lit by a lamp and by a sun, both with hard shadows.
+background = [0.05, 0.05, 0.06]
+
+[camera]
+position = [0.75, 0.55, 1.35]
+target = [0.31, 0.2, 0.31]
+fov = 40.0
+
+[film]
+size = [512, 512]
+supersample = {supersample}
+outputs = ["rgb"]
+
+[trace]
+kernel = "{kernel}"
+
+[[lights]]
+type = "point"
+position = [0.9, 0.9, 0.9]
+intensity = [2.0, 1.7, 1.2]
+
+[[lights]]
+type = "directional"
+direction = [0.6, -0.7, -0.5]
+irradiance = [1.2, 1.3, 1.6]
+
+[[textures]]
+name = "page"
+image = "../textures/page.png"
+filter = "{filter}"
+
+[[assets]]
+grid = "../grids/{grid}.zarr.zip"
+materials = [{{ type = "diffuse", colour = [0.9, 0.8, 0.7] }}]
+
+[[assets]]
+grid = "../grids/exact-sheet@128.zarr.zip"
+scale = 0.8
+rotate = [1, 0, 0, -90]
+translate = [0.31, 0.0, 0.31]
+materials = [{{ type = "diffuse", texture = "page" }}]
+"""
+
+_TEMPLATES = {
+    "mirror": _MIRROR,
+    "normals": _NORMALS,
+    "textured": _TEXTURED,
+    "glass": _GLASS,
+    "environment": _ENVIRONMENT,
+    "lights": _LIGHTS,
+}
+_OPTICS = {
+    "glass": Variant("glass", "exact-sphere@64", filter="anisotropic", supersample=2),
+    "environment": Variant("environment", "exact-torus@64", filter="anisotropic", supersample=2),
+    "lights": Variant("lights", "bunny@512", filter="anisotropic", supersample=2),
+}
 _VIEWS = {
     "torus": ("[0.0, 2.2, 2.6]", "[0.0, 0.0, 0.0]"),
     "bunny": ("[0.58, 0.42, 1.45]", "[0.31, 0.24, 0.31]"),
@@ -135,7 +276,7 @@ def _variants() -> dict[str, Variant]:
         "figure-4-reference": Variant("normals", "exact-sphere@16", supersample=8),
     }
     shapes = {name: Variant("textured", f"{name}@512") for name in _VIEWS}
-    return {**exact, **baked, **references, **shapes}
+    return {**exact, **baked, **references, **shapes, **_OPTICS}
 
 
 def _on(variant: Variant, grid: str) -> Variant:

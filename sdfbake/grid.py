@@ -144,7 +144,11 @@ class Grid:
 
     @staticmethod
     def from_dense(
-        values: ArrayLike, *, origin: Sequence[float | int] | np.ndarray = (0.0, 0.0, 0.0), spacing: float | int = 1.0
+        values: ArrayLike,
+        *,
+        origin: Sequence[float | int] | np.ndarray = (0.0, 0.0, 0.0),
+        spacing: float | int = 1.0,
+        band: float | None = None,
     ) -> "Grid":
         """Take anybody's numbers, not necessarily distances.
 
@@ -154,6 +158,9 @@ class Grid:
             (nx, ny, nz), indexed [x, y, z], at least 2 along every axis, finite; stored as float32.
         origin, spacing
             World position of values[0, 0, 0], and the distance between neighbours.
+        band
+            Voxels from the surface within which the values are exact; hits on cells that see others are flagged BAND.
+            None claims nothing, and nothing is flagged.
 
         Returns
         -------
@@ -163,8 +170,10 @@ class Grid:
         Raises
         ------
         BadInput
-            If the array is not three-dimensional, too small, or not finite.
+            If the array is not three-dimensional, too small, or not finite, or the band is not positive.
         """
+        if band is not None and not band > 0:
+            raise BadInput(f"a band of {band} voxels is none: give a positive number, or leave it out")
         given = np.asarray(values)
         if given.ndim != 3 or min(given.shape) < 2 or given.dtype.kind not in "fiu":
             raise BadInput(
@@ -183,7 +192,7 @@ class Grid:
         distance = _blank(len(bricks), "distance")
         inside = brick.in_lattice(bricks.index, dense.shape)
         distance[inside] = dense[tuple(brick.sample_index(bricks.index)[inside].T)]
-        return Grid(lattice, bricks, distance, None, None, None, Metadata(source="dense"))
+        return Grid(lattice, bricks, distance, None, None, None, Metadata(source="dense", band=band or BAND))
 
     def save(self, path: str | Path) -> None:
         """Write the grid to a file, whole or not at all; see `sdfbake.gridfile.save`."""

@@ -14,8 +14,10 @@ from sdfbake.commandline import print_json, run
 from sdfbake.complaint import BadInput
 from sdfrender.image import CHANNELS, write_exr, write_png
 from sdfrender.plan import Plan, make_plan
-from sdfrender.render import prepare, shoot
+from sdfrender.rayfile import read_rays
+from sdfrender.render import shoot
 from sdfrender.scene import load_scene
+from sdfrender.stage import prepare
 
 
 @click.group()
@@ -51,6 +53,7 @@ def _outputs(_context: click.Context, _parameter: click.Parameter, text: str | N
 @click.option("--kernel", help="linear, catmull-rom or bspline, in place of the scene's.")
 @click.option("--engine", default="auto", show_default=True, help="auto, numpy or drjit.")
 @click.option("--precision", type=int, help="32 or 64 bits; 64 on numpy, 32 on drjit by default.")
+@click.option("--rays", type=click.Path(path_type=Path), help="Rays to trace, .npz or .csv, in place of the camera's.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object about the run.")
 def render(
     scene: Path,
@@ -61,6 +64,7 @@ def render(
     kernel: str | None,
     engine: str,
     precision: int | None,
+    rays: Path | None,
     as_json: bool,
 ) -> None:
     """Render SCENE, a TOML file."""
@@ -71,11 +75,12 @@ def render(
     for path in (output, png):
         if path is not None:
             check_writable(path)
-    stage = prepare(chosen, engine=engine, precision=precision)
-    choice = stage.field.choice  # type: ignore[attr-defined]
+    view = None if rays is None else read_rays(rays, differentials=make_plan(chosen).differentials)
+    stage = prepare(chosen, engine=engine, precision=precision, view=view)
+    choice = stage.choice
     ready = time.perf_counter()
     with _progress() as progress:
-        task = progress.add_task("tracing", total=chosen.film.supersample**2)
+        task = progress.add_task("tracing", total=stage.view.samples)
         arrays = shoot(stage, lambda done, _total: progress.update(task, completed=done))
     done = time.perf_counter()
     write_exr(output, arrays)
@@ -86,7 +91,7 @@ def render(
         "engine": choice.engine.name,
         "precision": choice.engine.precision,
         "engine_reason": choice.reason,
-        "uv_mode": stage.plan.uv_mode,
+        "uv_mode": next((asset.uv_mode for asset in stage.plan.assets if asset.uv_mode), None),
         "seconds": {"prepare": ready - start, "trace": done - ready, "total": time.perf_counter() - start},
         "plan": stage.plan.record(),
     }
@@ -113,9 +118,13 @@ def _table(made: Plan) -> Table:
     table = Table("what", "", "why", title="plan")
     orders = ["nothing" if order is None else ("value", "gradient", "Hessian")[order] for order in made.orders]
     table.add_row("jets", ", ".join(orders), "per hit of a path")
-    if made.uv_mode is not None:
-        table.add_row("texture coordinates", made.uv_mode, "how they are known")
-    table.add_row("channels read", ", ".join(made.channels), "of the asset")
+    for asset in made.assets:
+        name = Path(asset.grid).name
+        table.add_row("channels read", ", ".join(asset.channels), f"of {name}")
+        if asset.uv_mode is not None:
+            table.add_row("texture coordinates", asset.uv_mode, f"how {name} knows them")
+    if made.splits:
+        table.add_row("glass", f"{2**made.splits} paths", f"both ways at the first {made.splits} surfaces of a path")
     table.add_row("outputs", ", ".join(made.outputs), "asked for")
     for omission in made.left_out:
         table.add_row(omission.what, "left out", omission.reason)

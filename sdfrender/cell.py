@@ -49,7 +49,7 @@ def tolerance(eps: float, kernel: Kernel, largest: float) -> float:
     return eps / 2 * (sums + 3 * weights) * largest
 
 
-def ray_polynomial(xp: Engine, kernel: Kernel, coefficients: list[Array], enter: Vector, leave: Vector) -> Polynomial:
+def ray_polynomial(xp: Engine, kernel: Kernel, coefficients: Array, enter: Vector, leave: Vector) -> Polynomial:
     """Return the interpolant along a segment of a cell as Bernstein coefficients.
 
     Parameters
@@ -59,34 +59,24 @@ def ray_polynomial(xp: Engine, kernel: Kernel, coefficients: list[Array], enter:
     kernel
         The kernel.
     coefficients
-        The cell's coefficients, taps^3 arrays, z fastest.
+        The cell's coefficients, by `tables.stencil`, or taps^3 arrays, z fastest.
     enter, leave
         The segment's ends in cell coordinates, clamped to [0, 1].
     """
-    taps = kernel.taps
     by_axis = [_scaled_weights(xp, kernel, enter[axis], leave[axis]) for axis in range(3)]
-    whole: list[Array] | None = None
-    for i in range(taps):
-        plane: list[Array] | None = None
-        for j in range(taps):
-            row = coefficients[(i * taps + j) * taps : (i * taps + j + 1) * taps]
-            line = [_combine(xp, row, [w[r] for w in by_axis[2]]) for r in range(kernel.degree + 1)]
-            plane = _convolve(xp, plane, line, by_axis[1][j])
-        assert plane is not None
-        whole = _convolve(xp, whole, plane, by_axis[0][i])
-    assert whole is not None
+    whole = xp.by_degree(coefficients, by_axis)
     degree = len(whole) - 1
     return tuple(value * (1.0 / comb(degree, r)) for r, value in enumerate(whole))
 
 
 def _scaled_weights(xp: Engine, kernel: Kernel, a: Array, e: Array) -> list[list[Array]]:
-    """Per tap, the weight's Bernstein coefficients on [a, e], each times its binomial.
+    """Return the weights' Bernstein coefficients on [a, e], each times its binomial, by number and tap.
 
     Polar forms in the Bernstein basis of the cell, whose terms have one sign: in powers of a and e they cancel.
     """
     not_a, not_e = 1.0 - a, 1.0 - e
     if kernel.degree == 1:
-        return [[not_a, not_e], [a, e]]
+        return [[not_a, a], [not_e, e]]
     aa, ee, bb, ff = a * a, e * e, not_a * not_a, not_e * not_e
     inner, outer = 2.0 * (a * not_a), 2.0 * (e * not_e)
     forms = (
@@ -96,33 +86,16 @@ def _scaled_weights(xp: Engine, kernel: Kernel, a: Array, e: Array) -> list[list
         (ff * not_e, 3.0 * (e * ff), 3.0 * (ee * not_e), ee * e),
     )
     rows = []
-    for ordinates in kernel.bezier.T.tolist():
-        used = [(s, ordinate) for s, ordinate in enumerate(ordinates) if ordinate]
+    for form, binomial in zip(forms, (1.0, 3.0, 3.0, 1.0), strict=True):
         row = []
-        for form, binomial in zip(forms, (1.0, 3.0, 3.0, 1.0), strict=True):
+        for ordinates in kernel.bezier.T.tolist():
+            used = [(s, ordinate) for s, ordinate in enumerate(ordinates) if ordinate]
             value = form[used[0][0]] * (used[0][1] * binomial)
             for s, ordinate in used[1:]:
                 value = xp.fma(form[s], ordinate * binomial, value)
             row.append(value)
         rows.append(row)
     return rows
-
-
-def _combine(xp: Engine, values: list[Array], weights: list[Array]) -> Array:
-    total = values[0] * weights[0]
-    for value, weight in zip(values[1:], weights[1:], strict=True):
-        total = xp.fma(value, weight, total)
-    return total
-
-
-def _convolve(xp: Engine, total: list[Array] | None, a: list[Array], b: list[Array]) -> list[Array]:
-    """Add the product of two scaled Bernstein forms to a third."""
-    sums: list[Array | None] = list(total) if total is not None else [None] * (len(a) + len(b) - 1)
-    for i, x in enumerate(a):
-        for j, y in enumerate(b):
-            so_far = sums[i + j]
-            sums[i + j] = x * y if so_far is None else xp.fma(x, y, so_far)
-    return sums
 
 
 def sign_changes(xp: Engine, polynomial: Polynomial, sign: Array, bound: Array) -> tuple[Array, Array]:
@@ -239,7 +212,9 @@ def refine(xp: Engine, polynomial: Polynomial, bracket: Bracket) -> Array:
         not_yet = value * before > 0
         low, high = xp.where(not_yet, state.s, state.low), xp.where(not_yet, state.high, state.s)
         newton = state.s - value / slope
-        s = xp.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+        # Never the bracket's other end, which was there before: two ends can send Newton to and fro for ever.
+        stays, inside = (value == 0) | (newton == state.s), (newton > low) & (newton < high)
+        s = xp.where(stays, state.s, xp.where(inside, newton, 0.5 * (low + high)))
         done = (xp.abs(s - state.s) <= 2 * xp.eps) | (high - low <= 2 * xp.eps) | (value == 0)
         return _Newton(xp.integer(~done), s, low, high)
 

@@ -83,7 +83,19 @@ class Field(Protocol):
         ...
 
     def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
-        """Find where rays first meet the surface; rays with a `start` leave that place and do not meet it again."""
+        """Find where rays first meet the surface.
+
+        Rays with a `start` that is a hit leave that place, whatever `p`, and do not meet it again; the other active
+        rays start at `p`.
+        """
+        ...
+
+    def occluded(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None, limit: Array) -> Array:
+        """Say which rays meet anything before the parameter `limit`, which may be infinite; else as `first_hit`."""
+        ...
+
+    def inside(self, xp: Engine, p: Vector, active: Array) -> Array:
+        """Say which positions are inside, where the signed distance is negative."""
         ...
 
     def locate(self, xp: Engine, p: Vector, active: Array) -> Spot:
@@ -99,6 +111,10 @@ class Field(Protocol):
         """How texture coordinates are known: one of `sdfbake.metadata.MODES`, or "exact"; None if they are not."""
         ...
 
+    def prepare_uv(self) -> None:
+        """Prepare what `uv_at` needs, where that takes time; before programs that may not be interrupted for it."""
+        ...
+
     def uv_at(self, xp: Engine, spot: Spot, n: Vector | None) -> Mapped:
         """Texture coordinates at a place with that unit normal, which may be None where `uv_mode` asks for none.
 
@@ -108,4 +124,8 @@ class Field(Protocol):
 
     def part_at(self, xp: Engine, spot: Spot) -> Array:
         """Part id at a place."""
+        ...
+
+    def beyond_band(self, xp: Engine, spot: Spot) -> Array:
+        """Say whether values that are not exact stand behind the surface at a place."""
         ...

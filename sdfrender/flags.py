@@ -14,3 +14,4 @@ class Flag(IntFlag):
     BAND = 32  #: outside the exact band
     EDGE = 64  #: the gradient's length is far from 1: an edge of the surface
     NONLINEAR = 128  #: the footprint differs from its neighbours'
+    CLAMPED = 256  #: the texture look-up was clamped: to the finest or the last level, or to the greatest anisotropy

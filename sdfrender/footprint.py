@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from sdfbake.engine import Array, Engine
 from sdfrender.field import Mapped
 from sdfrender.flags import Flag
+from sdfrender.latlong import angle
 from sdfrender.rays import Beam
 from sdfrender.vector import Vector, dot
 
@@ -44,6 +45,20 @@ def invariant_level(xp: Engine, duv_dx: Pair, duv_dy: Pair, size: tuple[Array, A
     half = 0.5 * (a - c)
     greatest = 0.5 * (a + c) + xp.sqrt(half * half + b * b)
     return 0.5 * xp.log2(xp.maximum(greatest, SMALLEST**2))
+
+
+def axes(xp: Engine, duv_dx: Pair, duv_dy: Pair, size: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+    """Return the ellipse that a pixel's unit circle becomes: see `ellipse`, of which this is the form for programs.
+
+    The half axes are the singular values of J in texels, the lesser as |det J| over the greater; twice the angle is
+    that of (S_uu - S_vv, 2 S_uv), S = J J^T.
+    """
+    ux, vx, uy, vy = duv_dx[0] * size[0], duv_dx[1] * size[1], duv_dy[0] * size[0], duv_dy[1] * size[1]
+    uu, vv, uv = ux * ux + uy * uy, vx * vx + vy * vy, ux * vx + uy * vy
+    half = 0.5 * (uu - vv)
+    major = xp.sqrt(0.5 * (uu + vv) + xp.sqrt(half * half + uv * uv))
+    minor = xp.abs(ux * vy - uy * vx) / xp.where(major > 0, major, 1.0)
+    return major, minor, 0.5 * angle(xp, 2.0 * uv, uu - vv)
 
 
 def _squared(duv: Pair, size: tuple[Array, Array]) -> Array:

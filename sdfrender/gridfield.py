@@ -4,6 +4,7 @@ In: a `Grid`, a kernel, an engine. Out: a `Field`: certified first hits, jets (G
 coordinates by `facemap`, `layermap` or `gridmap`. Only what is asked for is prepared: none of them unless it is used.
 """
 
+from copy import copy
 from threading import Lock
 
 import numpy as np
@@ -11,22 +12,20 @@ from jaxtyping import Float, Integer
 
 from sdfbake.engine import Array, Choice, Engine, choose
 from sdfbake.grid import Grid
-from sdfrender.cell import tolerance
+from sdfbake.lattice import BAND
 from sdfrender.facemap import FaceMap
 from sdfrender.field import Jet, Mapped, Spot
 from sdfrender.gridmap import GridMap
 from sdfrender.interpolation import contract
 from sdfrender.kernels import Kernel, kernel
 from sdfrender.layermap import LayerMap
-from sdfrender.march import march
+from sdfrender.march import Leaving, march, meets
+from sdfrender.mixed import mixed_cells
 from sdfrender.optics import normal
-from sdfrender.skips import brick_sides, cell_sides
-from sdfrender.slabs import slabs
-from sdfrender.stencils import FloatType, stencils
+from sdfrender.preparation import prepare
 from sdfrender.tables import (
-    INCOMPLETE,
+    SHIFT,
     Found,
-    Tables,
     base_of,
     brick_of,
     cell_of,
@@ -93,9 +92,10 @@ class GridField:
         self.kernel = _kernel(kernel)
         self.choice = choose(engine, precision) if isinstance(engine, str) else engine
         self.engine: Engine = self.choice.engine
-        self._tables, self.tolerance = _tables(grid, self.kernel, self.engine)
+        self._tables, self.tolerance = prepare(grid, self.kernel, self.engine)
         self._far = self.engine.table(grid.bricks.far)
         self._parts = _ids(grid.part, self.engine)
+        self._beyond = _beyond(grid, self.kernel, self.engine)
         self._prepared: GridMap | FaceMap | LayerMap | None = None
         self._preparing = Lock()
         middle = (np.array(grid.lattice.shape) - 1) / 2
@@ -103,6 +103,19 @@ class GridField:
         self._middle = [self.engine.uniform(float(m)) for m in middle]
         self._per_voxel = self.engine.uniform(1.0 / grid.lattice.spacing)
         self._spacing = self.engine.uniform(grid.lattice.spacing)
+
+    def with_uv(self, mode: str) -> "GridField":
+        """Return a field with the same tables that reads other texture coordinates, one of `sdfbake.metadata.MODES`.
+
+        Raises
+        ------
+        BadInput
+            If the grid does not have them.
+        """
+        other = copy(self)
+        other.uv_mode = choose_mode(stored_in(self.grid), mode, "the grid")
+        other._prepared, other._preparing = None, Lock()
+        return other
 
     @property
     def bounds(self) -> Float[np.ndarray, "2 3"]:
@@ -130,14 +143,37 @@ class GridField:
 
     def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
         """Find first hits; see `Field.first_hit`."""
-        along = (d[0] * self._per_voxel, d[1] * self._per_voxel, d[2] * self._per_voxel)
-        if start is None:
-            found = march(xp, self._tables, self._to_grid(p), along, active)
-        else:
-            place = Found(*start.locator)
-            x, y, z = (xp.real(place.cell[a]) + place.u[a] for a in range(3))
-            found = march(xp, self._tables, (x, y, z), along, active, place)
+        found = march(xp, self._tables, *self._rays(xp, p, d, active, start))
         return Spot(found.hit, found.t, self._to_local(found.cell, found.u), tuple(found))
+
+    def occluded(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None, limit: Array) -> Array:
+        """Say which rays meet anything; see `Field.occluded`."""
+        return meets(xp, self._tables, *self._rays(xp, p, d, active, start), limit)
+
+    def _rays(
+        self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None
+    ) -> tuple[Vector, Vector, Array, Leaving | None]:
+        """Return what a march asks for, in grid coordinates."""
+        at, along = self._to_grid(p), (d[0] * self._per_voxel, d[1] * self._per_voxel, d[2] * self._per_voxel)
+        if start is None:
+            return at, along, active, None
+        place = Found(*start.locator)
+        x, y, z = (xp.where(start.hit, xp.real(place.cell[a]) + place.u[a], at[a]) for a in range(3))
+        return (x, y, z), along, active, Leaving(start.hit, place.cell)
+
+    def inside(self, xp: Engine, p: Vector, active: Array) -> Array:
+        """Say which positions are inside: by the interpolant; where no brick is, by the bound; none off the lattice."""
+        spot = self.locate(xp, p, active)
+        for x, count in zip(self._to_grid(p), self._tables.samples, strict=True):
+            active = active & (x >= 0) & (x <= xp.real(count - 1))
+        return active & (self._value(xp, spot, self.jet_at(xp, spot, 0)) < 0)
+
+    def _value(self, xp: Engine, spot: Spot, jet: Jet) -> Array:
+        """Return the signed distance, or the signed lower bound where no brick is."""
+        found = Found(*spot.locator)
+        x, y, z = (c >> SHIFT for c in found.cell)
+        number = (x * self._tables.bricks[1] + y) * self._tables.bricks[2] + z
+        return xp.where(found.hit, jet.value, xp.gather(self._far, number, ~found.hit))
 
     def locate(self, xp: Engine, p: Vector, active: Array) -> Spot:
         """Turn positions into places; `hit` is False outside the bricks, where there are bounds only."""
@@ -185,10 +221,8 @@ class GridField:
         spot = self.locate(xp, p, everywhere)
         found = Found(*spot.locator)
         jet = self.jet_at(xp, spot, order)
-        x, y, z = (c >> 3 for c in found.cell)
-        bound = xp.gather(self._far, (x * self._tables.bricks[1] + y) * self._tables.bricks[2] + z, everywhere)
         derivatives = [xp.where(found.hit, entry, 0.0) for entry in (*(jet.gradient or ()), *(jet.hessian or ()))]
-        return {str(i): entry for i, entry in enumerate([xp.where(found.hit, jet.value, bound), *derivatives])}
+        return {str(i): entry for i, entry in enumerate([self._value(xp, spot, jet), *derivatives])}
 
     def jet_at(self, xp: Engine, spot: Spot, order: int) -> Jet:
         """Signed distance and derivatives at a place; see `Field.jet_at`."""
@@ -236,6 +270,11 @@ class GridField:
         columns = np.stack([out[str(i)] for i in range(8)], axis=-1).astype(np.float64)
         return columns[:, :2], columns[:, 2:].reshape(-1, 2, 3), out["chart"].astype(np.int64)
 
+    def prepare_uv(self) -> None:
+        """Prepare the texture coordinates, if there are any; see `Field.prepare_uv`."""
+        if self.uv_mode is not None:
+            self._map()
+
     def uv_at(self, xp: Engine, spot: Spot, n: Vector | None) -> Mapped:
         """Texture coordinates at a place; see `Field.uv_at`."""
         found = Found(*spot.locator)
@@ -248,6 +287,13 @@ class GridField:
         found = Found(*spot.locator)
         return sample(xp, self._tables, self._parts, found.nearest(xp), found.hit)
 
+    def beyond_band(self, xp: Engine, spot: Spot) -> Array:
+        """Say whether a sample behind the cell of a place lies beyond the band that the grid claims."""
+        if self._beyond is None:
+            return xp.full(spot.t, False)
+        found = Found(*spot.locator)
+        return sample(xp, self._tables, self._beyond, found.cell, found.hit) > 0
+
     def _map(self) -> GridMap | FaceMap | LayerMap:
         """Prepare the texture coordinates, once, whichever thread comes first."""
         with self._preparing:
@@ -259,7 +305,7 @@ class GridField:
                 elif mode == "layers":
                     self._prepared = LayerMap.of(grid, tables, engine, self._per_voxel)
                 else:
-                    self._prepared = GridMap.of(grid, tables, engine, _kind(engine), self._per_voxel)
+                    self._prepared = GridMap.of(grid, tables, engine, self._per_voxel)
             return self._prepared
 
 
@@ -267,43 +313,14 @@ def _kernel(wish: str | Kernel) -> Kernel:
     return wish if isinstance(wish, Kernel) else kernel(wish)
 
 
-def _kind(engine: Engine) -> FloatType:
-    return np.float64 if engine.precision == 64 else np.float32
+def _beyond(grid: Grid, kernel: Kernel, engine: Engine) -> Array | None:
+    """Say of every cell whether samples behind it are beyond the band; None where no cell with surface has such."""
+    if grid.metadata.band >= BAND:
+        return None
+    limit = np.float32(grid.metadata.band * grid.lattice.spacing * (1 - 1e-6))
+    far = (np.abs(grid.distance) >= limit).astype(np.int32)
+    return engine.table(mixed_cells(far, grid.bricks, grid.lattice.shape, kernel))
 
 
 def _ids(channel: Integer[np.ndarray, "k 8 8 8"] | None, engine: Engine) -> Array | None:
     return None if channel is None else engine.table(channel)
-
-
-def _tables(grid: Grid, kernel: Kernel, engine: Engine) -> tuple[Tables, float]:
-    """Prepare what a march looks up, and its rounding bound."""
-    shape, table, bricks = grid.lattice.shape, grid.bricks.slot, grid.bricks
-    made = stencils(grid.distance, bricks, shape, kernel, _kind(engine))
-    # A cell counts as empty only where no rounding of its neighbours' polynomials reaches: twice their bound.
-    found = slabs(made, kernel, lambda largest: 2 * tolerance(engine.eps, kernel, largest))
-    full = np.zeros(made.complete.shape, bool)
-    full.reshape(-1)[found.cell] = True
-    cells = cell_sides(full, table)
-    cells |= np.where(made.complete, 0, INCOMPLETE).astype(np.int32)
-    cells.reshape(-1)[found.cell] = -1 - np.arange(len(found.cell), dtype=np.int32)
-    bound = tolerance(engine.eps, kernel, found.largest)
-    one = max(len(found.cell), 1)  # no engine likes an empty table
-    planes, deltas = np.zeros((one, 4), np.float32), np.zeros(one, np.float32)
-    planes[: len(found.cell)], deltas[: len(found.cell)] = found.plane, found.delta
-    tables = Tables(
-        kernel,
-        engine.table(np.where(table < 0, -1 - brick_sides(table >= 0), table)),
-        engine.table(cells),
-        engine.table(planes),
-        engine.table(deltas),
-        engine.table(made.coefficients),
-        _uniform(engine, shape),
-        _uniform(engine, table.shape),
-        engine.uniform(bound),
-    )
-    return tables, bound
-
-
-def _uniform(engine: Engine, numbers: tuple[int, int, int]) -> tuple[Array, Array, Array]:
-    x, y, z = (engine.uniform(int(n)) for n in numbers)
-    return x, y, z

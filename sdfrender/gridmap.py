@@ -10,7 +10,8 @@ from sdfbake.engine import Array, Engine
 from sdfbake.grid import Grid
 from sdfrender.field import Mapped
 from sdfrender.interpolation import contract
-from sdfrender.stencils import FloatType, channel_coefficients, mixed_cells
+from sdfrender.mixed import mixed_cells
+from sdfrender.stencils import Blocks, coefficients
 from sdfrender.tables import SIDE, Found, Tables, brick_of, sample, stencil
 from sdfrender.vector import Vector
 
@@ -40,11 +41,12 @@ class GridMap:
     per_voxel: Array
 
     @staticmethod
-    def of(grid: Grid, tables: Tables, engine: Engine, kind: FloatType, per_voxel: Array) -> "GridMap":
+    def of(grid: Grid, tables: Tables, engine: Engine, per_voxel: Array) -> "GridMap":
         """Prefilter the texture coordinates and mark the seams of a grid that has them."""
         assert grid.uv is not None
         bricks, shape, kernel = grid.bricks, grid.lattice.shape, tables.kernel
-        u, v = (engine.table(channel_coefficients(grid.uv[..., c], bricks, shape, kernel, kind)) for c in (0, 1))
+        blocks = Blocks.of(engine, bricks, shape)
+        u, v = (coefficients(engine, grid.uv[..., c], blocks, kernel) for c in (0, 1))
         if grid.chart is None:
             return GridMap(tables, (u, v), None, None, per_voxel)
         seams = engine.table(mixed_cells(grid.chart, bricks, shape, kernel))
@@ -53,8 +55,8 @@ class GridMap:
     def uv_at(self, xp: Engine, found: Found, p: Vector, n: Vector | None) -> Mapped:
         """Interpolate; the position comes from the cell, and the normal has no say."""
         parts = []
-        for coefficients in self.coefficients:
-            taps = stencil(xp, self.tables.with_(coefficients), found.base, found.hit)
+        for channel in self.coefficients:
+            taps = stencil(xp, self.tables.with_(channel), found.base, found.hit)
             value, x, y, z = contract(xp, self.tables.kernel, taps, found.u, 1)
             parts.append((value, (x * self.per_voxel, y * self.per_voxel, z * self.per_voxel)))
         chart, seam = self._chart(xp, found)

@@ -20,11 +20,25 @@ CHANNELS: dict[str, tuple[tuple[str, ...], str]] = {
     "Z": (("Z",), "distance along the camera ray to the first hit, world units; 0 for a miss"),
     "P": (("P.X", "P.Y", "P.Z"), "position of the first hit, world frame"),
     "N": (("N.X", "N.Y", "N.Z"), "outward unit normal of the first hit, world frame"),
+    "curvature": (
+        ("curvature.min", "curvature.max"),
+        "principal curvatures at the first hit, per world unit, a ball's positive",
+    ),
     "uv": (("uv.U", "uv.V"), "texture coordinates at the end of the path"),
     "duv_dx": (("duv_dx.U", "duv_dx.V"), "their derivative per pixel to the right, at the end of the path"),
     "duv_dy": (("duv_dy.U", "duv_dy.V"), "their derivative per pixel down, at the end of the path"),
     "lod": (("lod",), "level of detail, Galim 2018 eq. 25, in texels of the texture there, unclamped"),
-    "flags": (("flags",), "bits: 1 miss, 2 horizon, 4 TIR, 8 caustic, 16 seam, 32 band, 64 edge, 128 nonlinear"),
+    "lod_invariant": (("lod_invariant",), "log2 of the footprint's greatest singular value, in texels, unclamped"),
+    "ellipse": (
+        ("ellipse.major", "ellipse.minor", "ellipse.angle"),
+        "half axes of the footprint, texels; angle of the longer against the u axis, radians",
+    ),
+    "chart": (("chart",), "chart of the texture atlas at the end of the path, -1 where there is none"),
+    "nonlinearity": (("nonlinearity",), "how much duv_dx, duv_dy differ from the neighbours', share of their size"),
+    "flags": (
+        ("flags",),
+        "bits: 1 miss, 2 horizon, 4 TIR, 8 caustic, 16 seam, 32 band, 64 edge, 128 nonlinear, 256 clamped",
+    ),
     "part": (("part",), "part id of the first hit, -1 for a miss"),
 }
 

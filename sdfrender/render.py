@@ -1,55 +1,34 @@
-"""The picture of a scene: the bounce loop.
+"""The picture of a scene: passes over its pixels, and the ways that light takes at glass.
 
-In: a scene. Out: arrays (h, w, channels) per output. A path goes from the camera from mirror to mirror to the first
-surface that is none; `rgb`, `uv`, `duv_dx`, `duv_dy`, `lod` and `flags` speak of its end, `Z`, `P`, `N` and `part` of
-its first hit. A path that still looks into a mirror after the last bounce is black.
+In: a scene. Out: arrays (h, w, channels) per output. `rgb` is the mean over samples and the sum over ways at glass;
+everything else is of one sample, of the path that passes glass wherever it can: `Z`, `P`, `N`, `curvature` and `part`
+speak of its first hit, `flags` of all its hits, the rest of its end.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Int
 
-from sdfbake.complaint import BadInput
-from sdfbake.engine import Array, Engine, choose
-from sdfbake.grid import Grid
-from sdfrender import optics
-from sdfrender.camera import Camera
-from sdfrender.field import Field, Jet, Mapped, Spot
+from sdfbake.engine import Array, Engine
+from sdfrender.field import Field
 from sdfrender.flags import Flag
-from sdfrender.footprint import derivatives, level_of_detail
-from sdfrender.gridfield import GridField
+from sdfrender.footprint import nonlinear, nonlinearity
 from sdfrender.image import CHANNELS
-from sdfrender.kernels import kernel
-from sdfrender.plan import Plan, make_plan
-from sdfrender.rays import Beam
-from sdfrender.scene import Diffuse, Material, Mirror, Scene, load_scene
-from sdfrender.texture import Sampler, Texture
-from sdfrender.trace import hit_flags, mirrored, transferred
-from sdfrender.uvmode import BY_NORMAL
-from sdfrender.vector import Vector, select, zero
+from sdfrender.path import Job, follow
+from sdfrender.scene import Scene
+from sdfrender.stage import Stage, prepare
+from sdfrender.viewing import View
 
+COLOURS = ("R", "G", "B")
+BATCH = 2**20  # paths at once at most: some 300 bytes each are alive between two hits
+# What is recorded for outputs that are computed from others.
+_FROM = {"nonlinearity": ("duv_dx", "duv_dy", "chart")}
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stage:
-    """A scene ready to be traced.
-
-    Attributes
-    ----------
-    scene, plan, field
-        The scene, what of it is computed, the surface.
-    materials
-        Material per part id.
-    samplers
-        Textures by name, those that the plan needs.
-    """
-
-    scene: Scene
-    plan: Plan
-    field: Field
-    materials: tuple[Material, ...]
-    samplers: dict[str, Sampler]
+Arrays = dict[str, np.ndarray]
+Pixels = Int[np.ndarray, " n"]
 
 
 def render(
@@ -57,7 +36,8 @@ def render(
     *,
     engine: str = "auto",
     precision: int | None = None,
-    field: Field | None = None,
+    field: Field | Sequence[Field] | None = None,
+    view: View | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, np.ndarray]:
     """Render a scene.
@@ -69,9 +49,11 @@ def render(
     engine, precision
         As for `sdfbake.engine.choose`; not used where a field is given.
     field
-        A surface to take in place of the scene's grid, such as an exact shape.
+        Surfaces to take in place of the scene's grids, such as exact shapes, one for each asset.
+    view
+        Where rays come from, in place of the scene's camera.
     progress
-        Called with the passes done and to do.
+        Called with the steps done and to do.
 
     Returns
     -------
@@ -83,258 +65,153 @@ def render(
     BadInput
         If an asset, a part, a channel or a texture that the scene needs is missing.
     """
-    return shoot(prepare(scene, engine=engine, precision=precision, field=field), progress)
-
-
-def prepare(
-    scene: Scene | str | Path, *, engine: str = "auto", precision: int | None = None, field: Field | None = None
-) -> Stage:
-    """Load what the plan of a scene needs, and nothing else; see `render`."""
-    scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    if field is None:
-        plan = make_plan(scene)
-        field = _load_field(scene, plan, engine, precision)
-    else:
-        plan = make_plan(scene, (field.uv_mode,) if field.uv_mode else ())
-    materials = _by_part(scene, field.part_names)
-    names = {m.texture for m in materials if isinstance(m, Diffuse) and m.texture} if plan.uv else set()
-    samplers = {}
-    for name in sorted(names):
-        model = scene.texture(name)
-        samplers[name] = Sampler(field.engine, Texture.load(model.image), model.filter, model.wrap)
-    return Stage(scene, plan, field, materials, samplers)
+    return shoot(prepare(scene, engine=engine, precision=precision, field=field, view=view), progress)
 
 
 def shoot(stage: Stage, progress: Callable[[int, int], None] | None = None) -> dict[str, np.ndarray]:
-    """Trace all pixels of a prepared scene: one pass per sub-pixel, colours averaged.
+    """Trace all pixels of a prepared scene: one pass per sample, colours averaged.
 
-    What is not a colour comes from the sub-pixel in the middle (or next to it), per pixel.
+    What is not a colour comes from the sample in the middle (or next to it), per pixel.
     """
-    film = stage.scene.film
-    width, height = film.size
-    camera = stage.scene.camera.camera(film.size)
-    index = np.arange(width * height, dtype=np.int32)
-    per_axis = film.supersample
-    total: np.ndarray | None = None
-    kept: dict[str, np.ndarray] = {}
-    for number in range(per_axis**2):
-        j, i = divmod(number, per_axis)
-        middle = i == j == per_axis // 2
-        outputs: tuple[str, ...] = film.outputs if middle else tuple(name for name in film.outputs if name == "rgb")
-        if progress is not None:
-            progress(number, per_axis**2)
-        if not outputs:
-            continue
-        offset = ((i + 0.5) / per_axis, (j + 0.5) / per_axis)
-        out = stage.field.engine.run(_program(stage, camera, outputs, offset), [index])
-        arrays = {name: _image(out, name, width, height) for name in outputs}
-        if "rgb" in arrays:
-            rgb = arrays.pop("rgb") / per_axis**2
-            total = rgb if total is None else total + rgb
-        kept.update(arrays)
-    return {name: kept[name] if name != "rgb" else np.asarray(total) for name in film.outputs}
+    recorded, coloured = _recorded(stage.plan.outputs), frozenset({"rgb"}) & set(stage.plan.outputs)
+    middle, samples = stage.view.middle, stage.view.samples
+    width, height = stage.view.size
+    count = width * height
+    alone = [middle] if recorded - coloured or samples == 1 else []  # of which everything is recorded
+    others = [number for number in range(samples) if number not in alone]
+    jobs = [job for job in ((recorded, alone), (coloured, others)) if all(job)]
+    batch = max(BATCH >> stage.plan.splits, 1)  # of which each may become as many as there are codes
+    steps = _Steps(progress, sum(-(-count * len(numbers) // batch) for _, numbers in jobs))
+    total, kept = np.zeros((3, count)), {}
+    for outputs, numbers in jobs:
+        out = _sampled(stage, outputs, _Batches(numbers, count, batch), steps)
+        if coloured:
+            total += [out.pop(name) / samples for name in COLOURS]
+        kept.update(out)
+    kept.update(zip(COLOURS, total, strict=True))
+    images = {name: _image(kept, name, width, height) for name in recorded}
+    if "nonlinearity" in stage.plan.outputs:
+        images |= _compared(images)
+    return {name: images[name] for name in stage.plan.outputs}
 
 
-def _image(out: dict[str, np.ndarray], name: str, width: int, height: int) -> np.ndarray:
+@dataclass(slots=True)
+class _Steps:
+    """Steps done and to do, told to a listener."""
+
+    listener: Callable[[int, int], None] | None
+    total: int
+    done: int = 0
+
+    def next(self) -> None:
+        """Begin a step."""
+        if self.listener is not None:
+            self.listener(self.done, self.total)
+        self.done += 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lanes:
+    """Paths to trace: the sample, its pixel, the code of its ways at glass."""
+
+    sample: Pixels
+    pixel: Pixels
+    code: Pixels
+
+    def __getitem__(self, which: slice | np.ndarray) -> "_Lanes":
+        return _Lanes(self.sample[which], self.pixel[which], self.code[which])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Batches:
+    """Samples of `count` pixels each, by sample, then pixel, `size` at a time."""
+
+    samples: list[int]
+    count: int
+    size: int
+
+    def __iter__(self) -> Iterator[_Lanes]:
+        end = self.count * len(self.samples)
+        for begin in range(0, end, self.size):
+            number = np.arange(begin, min(begin + self.size, end))
+            sample = np.array(self.samples, np.int32)[number // self.count]
+            pixel = (number % self.count).astype(np.int32)
+            yield _Lanes(sample, pixel, np.zeros(len(pixel), np.int32))
+
+
+def _recorded(outputs: tuple[str, ...]) -> frozenset[str]:
+    """Return the outputs that paths record, those among them that others are computed from."""
+    return frozenset(name for output in outputs for name in _FROM.get(output, (output,)))
+
+
+def _image(kept: Arrays, name: str, width: int, height: int) -> Float[np.ndarray, "h w c"]:
     channels, _ = CHANNELS[name]
-    return np.stack([out[channel].astype(np.float64).reshape(height, width) for channel in channels], axis=-1)
+    return np.stack([kept[channel].astype(np.float64).reshape(height, width) for channel in channels], axis=-1)
 
 
-def _program(
-    stage: Stage, camera: Camera, outputs: tuple[str, ...], offset: tuple[float, float]
-) -> Callable[..., dict[str, Array]]:
-    """Return the program that follows the paths of pixel numbers."""
-    width = camera.size[0]
-    step = 1.0 / stage.scene.film.supersample
-
-    def program(xp: Engine, index: Array) -> dict[str, Array]:
-        columns = xp.uniform(width)
-        row = index // columns
-        x = xp.real(index - row * columns) + xp.uniform(offset[0])
-        y = xp.real(row) + xp.uniform(offset[1])
-        beam = camera.beam(xp, x, y, stage.field.anchor, step)
-        return _follow(xp, stage, beam, outputs, 1.0 / step)
-
-    return program
+def _compared(images: Arrays) -> Arrays:
+    """Return how linear footprints are, and the flags with NONLINEAR."""
+    jacobian = np.stack([images["duv_dx"], images["duv_dy"]], axis=-1)
+    chart = images["chart"][..., 0].astype(np.int64)
+    share = nonlinearity(jacobian, chart >= 0, chart)
+    found = {"nonlinearity": share[..., None]}
+    if "flags" in images:
+        flags = images["flags"].astype(np.int64) & ~int(Flag.NONLINEAR)
+        found["flags"] = (flags | nonlinear(share)[..., None]).astype(np.float64)
+    return found
 
 
-def _follow(xp: Engine, stage: Stage, beam: Beam, outputs: tuple[str, ...], per_pixel: float) -> dict[str, Array]:
-    """Follow paths through all their hits."""
-    plan, field = stage.plan, stage.field
-    active, spot = xp.full(beam.p[0], True), None
-    rgb, weight = zero(xp, beam.p[0]), tuple(xp.full(beam.p[0], 1.0) for _ in range(3))
-    out: dict[str, Array] = {}
-    flags = xp.full(beam.p[0], 0)
-    for hit, order in enumerate(plan.orders):
-        spot = field.first_hit(xp, beam.p, beam.d, active, spot)
-        jet = Jet(xp.full(spot.t, 0.0)) if order is None else field.jet_at(xp, spot, order)
-        part = xp.where(spot.hit, field.part_at(xp, spot) if plan.parts else xp.full(spot.t, 0), -1)
-        if "flags" in outputs:
-            flags = xp.where(active, flags | hit_flags(xp, field, spot, jet, beam, spot.t), flags)
-        if plan.differentials:
-            beam = transferred(xp, beam, jet, spot, xp.full(spot.t, 0.0))
-        if hit == 0:
-            out |= _first_hit(xp, stage, spot, jet, part, outputs)
-        looking = _is_mirror(xp, stage, part)
-        ends = active & ~looking
-        n = optics.normal(xp, jet) if plan.uv_mode in BY_NORMAL else None
-        mapped = field.uv_at(xp, spot._replace(hit=spot.hit & ends), n) if plan.uv else None
-        shown = _shaded(xp, stage, beam, spot, jet, part, mapped)
-        rgb = _accumulated(xp, rgb, weight, shown, ends)
-        if mapped is not None:
-            _end(xp, stage, out, (outputs, per_pixel), ends & spot.hit, mapped, beam, part)
-            flags = flags | xp.integer(ends & mapped.seam) * int(Flag.SEAM)
-        active = active & looking
-        if hit + 1 < len(plan.orders):
-            weight = _tinted(xp, stage, part, active, weight)
-            beam = _onward(xp, plan, beam, spot, jet, active)
-    named = {"R": rgb[0], "G": rgb[1], "B": rgb[2], "flags": flags}
-    return {**{k: v for k, v in named.items() if k in _wanted(outputs)}, **out}
+def _sampled(stage: Stage, outputs: frozenset[str], batches: _Batches, steps: _Steps) -> Arrays:
+    """Trace samples of all pixels, along all ways at glass that the plan follows.
+
+    Colours are summed as they come, so that memory does not grow with the samples; of the rest there is one sample.
+    """
+    within = stage.within() if stage.bodies is not None else None
+    kept: Arrays = {}
+    for lanes in batches:
+        steps.next()
+        for name, values in _branched(stage, outputs, lanes, within).items():
+            if name in COLOURS:
+                np.add.at(kept.setdefault(name, np.zeros(batches.count)), lanes.pixel, values)
+            else:
+                kept.setdefault(name, np.empty(batches.count, values.dtype))[lanes.pixel] = values
+    return kept
 
 
-def _onward(xp: Engine, plan: Plan, beam: Beam, spot: Spot, jet: Jet, active: Array) -> Beam:
-    """Leave a mirror."""
-    if plan.differentials:
-        return mirrored(xp, beam, jet, active)
-    d = select(xp, active, optics.reflected(beam.d, optics.normal(xp, jet)), beam.d)
-    return beam._replace(p=spot.p, d=d)
-
-
-def _first_hit(
-    xp: Engine, stage: Stage, spot: Spot, jet: Jet, part: Array, outputs: tuple[str, ...]
-) -> dict[str, Array]:
-    """Return the outputs that speak of the first hit."""
-    out: dict[str, Array] = {}
-    nothing = zero(xp, spot.t)
-    if "Z" in outputs:
-        out["Z"] = xp.where(spot.hit, spot.t, 0.0)
-    if "part" in outputs:
-        out["part"] = part
-    if "P" in outputs:
-        world = [p + xp.uniform(float(a)) for p, a in zip(spot.p, stage.field.anchor, strict=True)]
-        out |= _named("P", select(xp, spot.hit, (world[0], world[1], world[2]), nothing))
-    if "N" in outputs:
-        out |= _named("N", select(xp, spot.hit, optics.normal(xp, jet), nothing))
+def _branched(stage: Stage, outputs: frozenset[str], lanes: _Lanes, within: Pixels | None) -> Arrays:
+    """Trace paths, and those that part from them at glass: of a round those that are mirrored at its surface last."""
+    out = _traced(stage, outputs, lanes, within)
+    if not (stage.plan.splits and "rgb" in outputs):
+        return out
+    splits, place = out.pop("splits"), np.arange(len(lanes.pixel))
+    for level in range(stage.plan.splits):
+        parting = splits > level  # the others have no such way
+        if not parting.any():
+            break
+        branches = lanes[parting]
+        branches = replace(branches, code=branches.code | np.int32(1 << level))
+        part = _traced(stage, frozenset({"rgb"}), branches, within)
+        for name in COLOURS:
+            np.add.at(out[name], place[parting], part[name])
+        lanes = _Lanes(*(np.concatenate(pair) for pair in zip(_parts(lanes), _parts(branches), strict=True)))
+        splits, place = np.concatenate([splits, part["splits"]]), np.concatenate([place, place[parting]])
     return out
 
 
-def _end(
-    xp: Engine,
-    stage: Stage,
-    out: dict[str, Array],
-    wanted: tuple[tuple[str, ...], float],
-    ends: Array,
-    mapped: Mapped,
-    beam: Beam,
-    part: Array,
-) -> None:
-    """Add the outputs that speak of a path's end to the caller's own dictionary, for the paths that end here."""
-    outputs, per_pixel = wanted
-    values: dict[str, Array] = {}
-    if "uv" in outputs:
-        values |= {"uv.U": mapped.u, "uv.V": mapped.v}
-    if {"duv_dx", "duv_dy", "lod"} & set(outputs):
-        dx, dy = derivatives(mapped, beam)
-        for name, duv in (("duv_dx", dx), ("duv_dy", dy)):
-            values |= {f"{name}.U": duv[0] * per_pixel, f"{name}.V": duv[1] * per_pixel} if name in outputs else {}
-        if "lod" in outputs:
-            whole = [(duv[0] * per_pixel, duv[1] * per_pixel) for duv in (dx, dy)]
-            values["lod"] = level_of_detail(xp, whole[0], whole[1], _texels(xp, stage, part))
-    for name, value in values.items():
-        out[name] = xp.where(ends, value, out.get(name, xp.full(beam.p[0], 0.0)))
+def _parts(lanes: _Lanes) -> tuple[Pixels, Pixels, Pixels]:
+    return lanes.sample, lanes.pixel, lanes.code
 
 
-def _texels(xp: Engine, stage: Stage, part: Array) -> tuple[Array, Array]:
-    """Return width and height of each hit's texture, 1 where there is none."""
-    width, height = xp.full(part, 1.0), xp.full(part, 1.0)
-    for number, material in enumerate(stage.materials):
-        if isinstance(material, Diffuse) and material.texture in stage.samplers:
-            w, h = stage.samplers[material.texture].size
-            width = xp.where(part == number, xp.uniform(float(w)), width)
-            height = xp.where(part == number, xp.uniform(float(h)), height)
-    return width, height
+def _traced(stage: Stage, outputs: frozenset[str], lanes: _Lanes, within: Pixels | None) -> Arrays:
+    """Trace paths."""
+    channels = tuple(name for output in sorted(outputs - {"rgb", "flags"}) for name in CHANNELS[output][0])
 
+    def program(xp: Engine, code: Array, inside: Array, *columns: Array) -> dict[str, Array]:
+        start = stage.view.start(xp, stage.field, columns)
+        return follow(xp, Job(stage, outputs, channels), start, code, None if within is None else inside)
 
-def _shaded(
-    xp: Engine, stage: Stage, beam: Beam, spot: Spot, jet: Jet, part: Array, mapped: Mapped | None
-) -> Vector | None:
-    """Return the colour of what a path ends on; None where no colour is wanted."""
-    if "rgb" not in stage.plan.outputs:
-        return None
-    background = [xp.uniform(c) for c in stage.scene.background]
-    nothing = xp.full(spot.t, 0.0)
-    colour: Vector = (nothing + background[0], nothing + background[1], nothing + background[2])
-    for number, material in enumerate(stage.materials):
-        if isinstance(material, Mirror):
-            continue
-        here = spot.hit & (part == number)
-        if isinstance(material, Diffuse):
-            shown = _diffuse(xp, stage, material, beam, mapped, here)
-        else:
-            n = optics.normal(xp, jet)
-            shown = (0.5 * n[0] + 0.5, 0.5 * n[1] + 0.5, 0.5 * n[2] + 0.5)
-        colour = select(xp, here, shown, colour)
-    return colour
-
-
-def _diffuse(xp: Engine, stage: Stage, material: Diffuse, beam: Beam, mapped: Mapped | None, here: Array) -> Vector:
-    tint = [xp.uniform(c) for c in material.colour]
-    if material.texture is None or mapped is None:
-        white = xp.full(beam.p[0], 1.0)
-        return white * tint[0], white * tint[1], white * tint[2]
-    sampler = stage.samplers[material.texture]
-    lod = None
-    if sampler.needs_footprint:
-        size = (xp.uniform(float(sampler.size[0])), xp.uniform(float(sampler.size[1])))
-        lod = level_of_detail(xp, *derivatives(mapped, beam), size)
-    r, g, b = sampler.colour(xp, mapped.u, mapped.v, lod, here)
-    return r * tint[0], g * tint[1], b * tint[2]
-
-
-def _accumulated(xp: Engine, rgb: Vector, weight: Vector, shown: Vector | None, ends: Array) -> Vector:
-    if shown is None:
-        return rgb
-    return select(xp, ends, (weight[0] * shown[0], weight[1] * shown[1], weight[2] * shown[2]), rgb)
-
-
-def _tinted(xp: Engine, stage: Stage, part: Array, active: Array, weight: tuple[Array, ...]) -> tuple[Array, ...]:
-    for number, material in enumerate(stage.materials):
-        if isinstance(material, Mirror) and material.colour != (1.0, 1.0, 1.0):
-            here = active & (part == number)
-            weight = tuple(xp.where(here, w * xp.uniform(c), w) for w, c in zip(weight, material.colour, strict=True))
-    return weight
-
-
-def _is_mirror(xp: Engine, stage: Stage, part: Array) -> Array:
-    mirror = xp.full(part, False)
-    for number, material in enumerate(stage.materials):
-        if isinstance(material, Mirror):
-            mirror = mirror | (part == number)
-    return mirror
-
-
-def _named(name: str, vector: Vector) -> dict[str, Array]:
-    return {f"{name}.{axis}": value for axis, value in zip("XYZ", vector, strict=True)}
-
-
-def _wanted(outputs: tuple[str, ...]) -> set[str]:
-    return {channel for name in outputs for channel in CHANNELS[name][0]}
-
-
-def _load_field(scene: Scene, plan: Plan, engine: str, precision: int | None) -> GridField:
-    choice = choose(engine, precision)
-    grid = Grid.load(scene.assets[0].grid, channels=set(plan.channels))
-    return GridField(grid, kernel(scene.trace.kernel, scene.trace.tension), choice, uv_mode=plan.uv_mode)
-
-
-def _by_part(scene: Scene, parts: tuple[str, ...]) -> tuple[Material, ...]:
-    """Return the material of every part of the asset."""
-    asset = scene.assets[0]
-    given = {material.part: material for material in asset.materials}
-    unknown = set(given) - set(parts) - {"*"}
-    if unknown:
-        raise BadInput(f"{asset.grid} has no part '{min(unknown)}' for a material: its parts are {', '.join(parts)}")
-    for part in parts:
-        if part not in given and "*" not in given:
-            raise BadInput(f"the part '{part}' of {asset.grid} has no material: add one for it, or one for '*'")
-    return tuple(given.get(part, given.get("*", asset.materials[0])) for part in parts)
+    given = stage.view.columns(stage.field, lanes.sample, lanes.pixel)
+    bodies = np.zeros(len(lanes.pixel), np.int32)
+    if within is not None:
+        bodies += within[lanes.pixel] if len(within) > 1 else within
+    return stage.choice.engine.run(program, [lanes.code, bodies, *given])

@@ -5,29 +5,45 @@ is one sentence that names the file and the key. docs/scenes.md describes every 
 """
 
 import tomllib
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationError, model_validator
 
 from sdfbake.complaint import BadInput
 from sdfrender import camera
 from sdfrender.kernels import NAMES as KERNELS
+from sdfrender.lights import EnvironmentLight, Light
+from sdfrender.materials import Diffuse, Glass, ImageTexture, Material, Texture
+from sdfrender.similarity import IDENTITY, Similarity
+from sdfrender.strict import Colour, Strict, Vector3
 
-Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Colour = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Output = Literal["rgb", "Z", "P", "N", "uv", "duv_dx", "duv_dy", "lod", "flags", "part"]
+Output = Literal[
+    "rgb",
+    "Z",
+    "P",
+    "N",
+    "curvature",
+    "part",
+    "uv",
+    "chart",
+    "duv_dx",
+    "duv_dy",
+    "lod",
+    "lod_invariant",
+    "ellipse",
+    "nonlinearity",
+    "flags",
+]
+_TEXTURES, _LIGHTS = ("image", "checker", "constant"), ("point", "directional")
+_KINDS = frozenset(("pinhole", "orthographic", "mirror", "glass", "diffuse", "normals", *_TEXTURES, *_LIGHTS))
 MOST_PIXELS = 2**28  # 268 million samples per pass: 24 bytes each for the colours alone
+THROUGH_MIRRORS, THROUGH_GLASS = 1, 8  # bounces where a scene does not say: a ball of glass is four
 
 
-class _Strict(BaseModel):
-    """Unknown keys are errors, and nothing changes after it is read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class CameraModel(_Strict):
-    """Where the picture is taken from; the fields are those of `sdfrender.camera.Camera`."""
+class Pinhole(Strict):
+    """All rays come from one point; the fields are those of `sdfrender.camera.Camera`."""
 
     type: Literal["pinhole"] = "pinhole"
     position: Vector3
@@ -40,11 +56,40 @@ class CameraModel(_Strict):
         return camera.Camera(self.position, self.target, self.up, self.fov, size)
 
 
-class Film(_Strict):
-    """The picture: its size in pixels, samples per pixel and axis, and what is recorded."""
+class Orthographic(Strict):
+    """All rays are parallel; the fields are those of `sdfrender.camera.OrthographicCamera`."""
+
+    type: Literal["orthographic"]
+    position: Vector3
+    target: Vector3
+    up: Vector3 = (0.0, 1.0, 0.0)
+    height: float = Field(gt=0, allow_inf_nan=False)
+
+    def camera(self, size: tuple[int, int]) -> camera.OrthographicCamera:
+        """Return the camera for a picture of that many pixels."""
+        return camera.OrthographicCamera(self.position, self.target, self.up, self.height, size)
+
+
+def _projection(data: Any) -> str:
+    """Return what kind of camera a table is; a pinhole where it does not say."""
+    kind = data.get("type", "pinhole") if isinstance(data, Mapping) else getattr(data, "type", "pinhole")
+    return kind if isinstance(kind, str) else "pinhole"
+
+
+CameraModel = Annotated[
+    Annotated[Pinhole, Tag("pinhole")] | Annotated[Orthographic, Tag("orthographic")], Discriminator(_projection)
+]
+
+
+class Film(Strict):
+    """The picture: its size in pixels, samples per pixel and axis, and what is recorded.
+
+    With a `seed`, every sample lies anywhere in its own share of the pixel; without, in the middle of it.
+    """
 
     size: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] = (512, 512)
     supersample: int = Field(1, ge=1, le=64)
+    seed: int | None = Field(None, ge=0)
     outputs: tuple[Output, ...] = Field(("rgb",), min_length=1)
 
     @model_validator(mode="after")
@@ -56,105 +101,116 @@ class Film(_Strict):
         return self
 
 
-class Trace(_Strict):
-    """How rays meet the surface: the kernel, its tension, how many mirrors a path may meet."""
+class Trace(Strict):
+    """How rays meet the surface.
+
+    The kernel and its tension; how many mirrors and surfaces of glass a path may meet; at how many of the latter, from
+    the first on, both ways are followed.
+    """
 
     kernel: Literal["linear", "catmull-rom", "bspline"] = "bspline"
     tension: float = Field(0.5, ge=0, le=1)
-    bounces: int = Field(1, ge=0, le=64)
+    bounces: int | None = Field(None, ge=0, le=1024)
+    splits: int = Field(2, ge=0, le=6)
 
 
-class TextureModel(_Strict):
-    """An image and how it is looked up."""
+class Asset(Strict):
+    """A grid, where it stands, and what its parts are made of.
 
-    name: str
-    image: Path
-    filter: Literal["point", "bilinear", "trilinear"] = "trilinear"
-    wrap: Literal["clamp", "repeat"] = "clamp"
-
-
-class Mirror(_Strict):
-    """A perfect mirror; `colour` is the share of light that it reflects."""
-
-    type: Literal["mirror"]
-    part: str = "*"
-    colour: Colour = (1.0, 1.0, 1.0)
-
-
-class Diffuse(_Strict):
-    """A matt surface under uniform white light: its colour, times its texture."""
-
-    type: Literal["diffuse"]
-    part: str = "*"
-    colour: Colour = (1.0, 1.0, 1.0)
-    texture: str | None = None
-
-
-class Normals(_Strict):
-    """The outward normal as a colour: (n + 1) / 2."""
-
-    type: Literal["normals"]
-    part: str = "*"
-
-
-Material = Annotated[Mirror | Diffuse | Normals, Field(discriminator="type")]
-
-
-class Asset(_Strict):
-    """A grid and what its parts are made of; `part = "*"` stands for all parts without a material of their own.
-
-    `uv` says which of the grid's texture coordinates are read: "auto" takes the most exact.
+    `part = "*"` stands for all parts without a material of their own. `uv` says which of the grid's texture coordinates
+    are read: "auto" takes the most exact. It is scaled, then turned about an axis, then moved; or all in one matrix.
     """
 
     grid: Path
     uv: Literal["auto", "faces", "layers", "grid"] = "auto"
+    scale: float | None = Field(None, gt=0, allow_inf_nan=False)
+    rotate: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    translate: Vector3 | None = None
+    matrix: tuple[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], ...] | None = Field(
+        None, min_length=3, max_length=4
+    )
     materials: tuple[Material, ...] = Field(min_length=1)
 
+    @model_validator(mode="after")
+    def _stands_somewhere(self) -> "Asset":
+        parts = (self.scale, self.rotate, self.translate)
+        if self.matrix is not None and any(part is not None for part in parts):
+            raise ValueError("'matrix' says all that 'scale', 'rotate' and 'translate' do: give one or the other")
+        try:
+            self.placed()
+        except BadInput as error:
+            raise ValueError(str(error)) from None
+        return self
 
-class Scene(_Strict):
+    def placed(self) -> Similarity:
+        """Return how the grid stands in the world."""
+        if self.matrix is not None:
+            return Similarity.of_matrix(self.matrix)
+        if self.scale is None and self.rotate is None and self.translate is None:
+            return IDENTITY
+        return Similarity.of_parts(
+            1.0 if self.scale is None else self.scale,
+            (0.0, 0.0, 1.0, 0.0) if self.rotate is None else self.rotate,
+            (0.0, 0.0, 0.0) if self.translate is None else self.translate,
+        )
+
+
+class Scene(Strict):
     """Everything that a picture needs."""
 
     camera: CameraModel
     film: Film = Film()
     trace: Trace = Trace()
-    assets: tuple[Asset, ...] = Field(min_length=1, max_length=1)
-    textures: tuple[TextureModel, ...] = ()
+    assets: tuple[Asset, ...] = Field(min_length=1, max_length=64)
+    textures: tuple[Texture, ...] = ()
+    lights: tuple[Light, ...] = Field((), max_length=64)
+    environment: EnvironmentLight | None = None
     background: Colour = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _names_match(self) -> "Scene":
         known = [texture.name for texture in self.textures]
-        for name in known:
-            if known.count(name) > 1:
-                raise ValueError(f"two textures are called '{name}'")
+        _once(known, "two textures are called '{}'")
         for asset in self.assets:
-            parts = [material.part for material in asset.materials]
-            for part in parts:
-                if parts.count(part) > 1:
-                    raise ValueError(f"two materials are given to the part '{part}'")
+            _once([material.part for material in asset.materials], "two materials are given to the part '{}'")
             for material in asset.materials:
                 if isinstance(material, Diffuse) and material.texture not in (None, *known):
                     raise ValueError(
                         f"there is no texture '{material.texture}' (there are: {', '.join(known) or 'none'})"
                     )
+        if self.environment is not None and "background" in self.model_fields_set:
+            raise ValueError("an 'environment' takes the place of the 'background': give one of them")
         return self
 
-    def texture(self, name: str) -> TextureModel:
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """The materials of all assets."""
+        return tuple(material for asset in self.assets for material in asset.materials)
+
+    @property
+    def bounces(self) -> int:
+        """How many mirrors and surfaces of glass a path may meet."""
+        if self.trace.bounces is not None:
+            return self.trace.bounces
+        return THROUGH_GLASS if any(isinstance(m, Glass) for m in self.materials) else THROUGH_MIRRORS
+
+    def texture(self, name: str) -> Texture:
         """Return a texture by name."""
         return next(texture for texture in self.textures if texture.name == name)
 
     def with_(self, *, size: tuple[int, int] | None, outputs: tuple[str, ...] | None, kernel: str | None) -> "Scene":
         """Return the scene with what a command line overrides."""
-        data = self.model_dump()
+        data = self.model_dump(exclude_unset=True)
+        film, trace = ({**data.get(table, {})} for table in ("film", "trace"))
         if size is not None:
-            data["film"]["size"] = size
+            film["size"] = size
         if outputs is not None:
-            data["film"]["outputs"] = outputs
+            film["outputs"] = outputs
         if kernel is not None:
             if kernel not in KERNELS:
                 raise BadInput(f"there is no kernel '{kernel}': choose one of {', '.join(KERNELS)}")
-            data["trace"]["kernel"] = kernel
-        return _validated(data, "the command line")
+            trace["kernel"] = kernel
+        return _validated({**data, "film": film, "trace": trace}, "the command line")
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -175,10 +231,27 @@ def load_scene(path: str | Path) -> Scene:
     except tomllib.TOMLDecodeError as error:
         raise BadInput(f"the scene {path} is not TOML ({error}): correct it there") from None
     scene = _validated(data, f"the scene {path}")
-    folder = path.parent
+    return _with_paths_from(path.parent, scene)
+
+
+def _with_paths_from(folder: Path, scene: Scene) -> Scene:
     assets = tuple(asset.model_copy(update={"grid": folder / asset.grid}) for asset in scene.assets)
-    textures = tuple(texture.model_copy(update={"image": folder / texture.image}) for texture in scene.textures)
-    return scene.model_copy(update={"assets": assets, "textures": textures})
+    textures = tuple(
+        texture.model_copy(update={"image": folder / texture.image}) if isinstance(texture, ImageTexture) else texture
+        for texture in scene.textures
+    )
+    around = scene.environment
+    if around is not None:
+        around = around.model_copy(update={"image": folder / around.image})
+    return scene.model_copy(update={"assets": assets, "textures": textures, "environment": around})
+
+
+def _once(names: Iterable[str], complaint: str) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise ValueError(complaint.format(name))
+        seen.add(name)
 
 
 def _validated(data: object, where: str) -> Scene:
@@ -186,7 +259,7 @@ def _validated(data: object, where: str) -> Scene:
         return Scene.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(step) for step in first["loc"]) or "as a whole"
+        key = _key(first["loc"])
         if first["type"] == "extra_forbidden":
             raise BadInput(
                 f"{where} has a key '{key}' that does not exist: see docs/scenes.md for those that do"
@@ -196,3 +269,14 @@ def _validated(data: object, where: str) -> Scene:
         said = first["msg"].removeprefix("Value error, ")
         given = f", given {first['input']!r}" if not isinstance(first["input"], dict) else ""
         raise BadInput(f"{where} is wrong at '{key}': {said}{given}; see docs/scenes.md") from None
+
+
+def _key(steps: tuple[str | int, ...]) -> str:
+    """Return a key as the file has it: what kind a table is of is no key."""
+    before = ("", *steps)
+    kept = [step for last, step in zip(before, steps, strict=False) if not (step in _KINDS and _has_kinds(last))]
+    return ".".join(str(step) for step in kept) or "as a whole"
+
+
+def _has_kinds(step: str | int) -> bool:
+    return step == "camera" or isinstance(step, int)

@@ -5,124 +5,146 @@ of four bits per octant: the side, 1 to 7, of the greatest cube of cells without
 extends along the octant; what lies in absent bricks is empty. The bricks themselves are treated alike: a brick is a
 cell of a block of 8^3 bricks.
 
-Rows of cells along z are the bits of a word, so that sixteen cells are worked on at once.
+Rows of cells along z are the bits of a word, so that all of a block's row, and what its cubes reach, are worked on at
+once.
 """
 
-import os
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
+from functools import partial, reduce
 
 import numpy as np
-from jaxtyping import Bool, Int, Integer, UInt8, UInt16
+from jaxtyping import Bool, Int
 
 from sdfbake.bricks import SIDE
+from sdfbake.engine import Array, Engine
+from sdfrender.stencils import AROUND, around, brick_row
 
 MOST = 7  # of a cube's side: three bits; the fourth of a field says something else
 FIELD = 4  # bits
 OCTANTS = 8
-_CHUNK = 256  # blocks at once: 0.1 MB of words
-_WINDOW = SIDE + MOST - 1  # cells along an axis that the cubes of a block's cells can reach
-
-_REVERSED = np.packbits(np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)[:, ::-1], axis=1).ravel()
-# Bit j of a byte, as byte j of eight.
-_SPREAD = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little").view("<u8").ravel()
+_REACH = MOST - 1  # cells beyond a block's own that its cubes reach
+_WINDOW = SIDE + 2 * _REACH
+_OWN = (1 << SIDE) - 1
+_CHUNK = 1 << 13  # blocks at once: 13 MB for the cubes of each side
 
 
-def cell_sides(full: Bool[np.ndarray, "k 8 8 8"], slot: Integer[np.ndarray, "bx by bz"]) -> Int[np.ndarray, "k 8 8 8"]:
+def cell_sides(xp: Engine, empty: Array, slot: Array, count: int) -> Array:
     """Return the packed sides of every cell; 0 in every field where the cell is full.
 
     Parameters
     ----------
-    full
-        Which cells of the blocks are full.
+    xp
+        The engine.
+    empty
+        64 bytes per block, one for each row of cells, one bit for each cell that is empty.
     slot
-        Where the blocks lie: the number of the block, or -1 where there is none and everything is empty.
+        27 numbers per block: the block around it, negative where there is none and everything is empty.
+    count
+        Blocks.
 
     Returns
     -------
-    numpy.ndarray
-        int32, never negative: octant o, whose bits 0, 1, 2 say that x, y, z fall, has bits 4 o to 4 o + 2.
+    Array
+        512 integers per block, never negative: octant o, whose bits 0, 1, 2 say that x, y, z fall, has bits 4 o to
+        4 o + 2.
     """
-    count = len(full)
-    rows = np.packbits(~full, axis=-1, bitorder="little").reshape(count, SIDE, SIDE)
-    rows = np.concatenate([rows, np.full((1, SIDE, SIDE), 0xFF, np.uint8)])
-    table = np.pad(np.where(slot < 0, count, slot), 1, constant_values=count)
-    index = np.empty((count, 3), np.int64)
-    index[slot[slot >= 0]] = np.argwhere(slot >= 0) + 1
-    out = np.empty((count, SIDE, SIDE, SIDE), np.int32)
-
-    def work(start: int) -> None:
-        part = slice(start, start + _CHUNK)
-        out[part] = _packed(rows, table, index[part])
-
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(work, range(0, count, _CHUNK)))
-    return out
+    return xp.joined(
+        [_some_sides(xp, empty, slot, start, min(_CHUNK, count - start)) for start in range(0, count, _CHUNK)]
+    )
 
 
-def brick_sides(present: Bool[np.ndarray, "bx by bz"]) -> Int[np.ndarray, "bx by bz"]:
+def _some_sides(xp: Engine, empty: Array, slot: Array, start: int, count: int) -> Array:
+    """Return the packed sides of the cells of some blocks that follow each other."""
+    first = xp.uniform(start)
+    cubes = list(
+        xp.tabulated(count * _WINDOW**2, lambda lane: ((_window_row(xp, empty, slot, lane + first * _WINDOW**2),),))
+    )
+    while len(cubes) < MOST:
+        cubes += xp.tabulated(count * _WINDOW**2, partial(_grown, xp, cubes[-1]))
+    digits = xp.tabulated(count * SIDE**2 * 4, lambda lane: _digits(xp, cubes, lane))
+
+    def packed(lane: Array) -> tuple[tuple[Array, ...]]:
+        block, x, y = brick_row(lane)
+        sides = [xp.full(lane, 0) for _ in range(SIDE)]
+        for octant in range(OCTANTS):
+            at = ((((block << 2) | (octant & 3)) << 3 | x) << 3) | y
+            word = xp.gather(digits[octant >> 2], at, True)
+            for z in range(SIDE):
+                low, middle, high = ((word >> (SIDE * digit + z)) & 1 for digit in range(3))
+                sides[z] = sides[z] | ((low | (middle << 1) | (high << 2)) << (FIELD * octant))
+        return (tuple(sides),)
+
+    (sides,) = xp.tabulated(count * SIDE**2, packed)
+    return sides
+
+
+def _window_row(xp: Engine, empty: Array, slot: Array, lane: Array) -> Array:
+    """Return a row of the empty cells in a block and around it, as far as its cubes reach: the first cell in bit 0."""
+    brick = lane // _WINDOW**2
+    x = lane // _WINDOW - brick * _WINDOW
+    y = lane - (brick * _WINDOW + x) * _WINDOW - _REACH
+    x = x - _REACH
+    column = brick * AROUND + ((x >> 3) + 1) * 9 + ((y >> 3) + 1) * 3
+    row = ((x & 7) << 3) | (y & 7)
+    parts = []
+    for z in range(3):
+        block = xp.gather(slot, column + z, True)
+        parts.append(xp.where(block >= 0, xp.gather(empty, (block << 6) | row, block >= 0), _OWN))
+    below, here, above = parts
+    return (below >> (SIDE - _REACH)) | (here << _REACH) | ((above & ((1 << _REACH) - 1)) << (_REACH + SIDE))
+
+
+def _grown(xp: Engine, cubes: Array, lane: Array) -> tuple[tuple[Array]]:
+    """Return the cells of a window's row at which empty cubes begin whose side is greater by one: eight are in each.
+
+    At the window's far ends the next row is any: no cube that begins or ends in the block reaches it.
+    """
+    rows = [xp.gather(cubes, lane + step, True) for step in (1, _WINDOW, _WINDOW + 1)]
+    both = reduce(lambda a, b: a & b, rows, xp.gather(cubes, lane, True))
+    return ((both & (both >> 1),),)
+
+
+def _digits(xp: Engine, cubes: Sequence[Array], lane: Array) -> tuple[tuple[Array], tuple[Array]]:
+    """Return the binary digits of the sides of a row, eight bits each, lowest first: where z rises, and where it falls.
+
+    The lane is the block, whether x and y fall, and the row. A side is how many of the cubes of growing side that end
+    in the cell, or begin there, are empty.
+    """
+    block, quarter = lane >> 8, (lane >> 6) & 3
+    _, x, y = brick_row(lane)
+    row = (block * _WINDOW + (x + _REACH)) * _WINDOW + (y + _REACH)
+    back = (quarter & 1) * _WINDOW + (quarter >> 1)
+    none = xp.full(lane, 0)
+    up = down = (none, none, none)
+    for more, level in enumerate(cubes):
+        begin = xp.gather(level, row - back * more, True) >> (_REACH - more)
+        up, down = _counted(up, begin >> more), _counted(down, begin)
+    return (_bytes(up),), (_bytes(down),)
+
+
+def _counted(digits: tuple[Array, Array, Array], bits: Array) -> tuple[Array, Array, Array]:
+    """Add one to the binary numbers of the cells whose bit is set."""
+    low, middle, high = digits
+    carry = low & bits
+    return low ^ bits, middle ^ carry, high ^ (middle & carry)
+
+
+def _bytes(digits: tuple[Array, Array, Array]) -> Array:
+    low, middle, high = (digit & _OWN for digit in digits)
+    return low | (middle << SIDE) | (high << (2 * SIDE))
+
+
+def brick_sides(xp: Engine, present: Bool[np.ndarray, "bx by bz"]) -> Int[np.ndarray, "bx by bz"]:
     """Return the packed sides, in bricks, of the empty cubes ahead of every absent brick; 0 where one is present."""
     shape = np.array(present.shape)
     blocks = -(-shape // SIDE)
     padded = np.zeros(blocks * SIDE, bool)
     padded[tuple(slice(0, n) for n in shape)] = present
     x, y, z = blocks
-    full = padded.reshape(x, SIDE, y, SIDE, z, SIDE).transpose(0, 2, 4, 1, 3, 5).reshape(-1, SIDE, SIDE, SIDE)
-    sides = cell_sides(full, np.arange(x * y * z).reshape(x, y, z)).reshape(x, y, z, SIDE, SIDE, SIDE)
+    full = padded.reshape(x, SIDE, y, SIDE, z, SIDE).transpose(0, 2, 4, 1, 3, 5)
+    empty = xp.table(np.packbits(~full, axis=-1, bitorder="little").astype(np.int32))
+    index = np.argwhere(np.ones(blocks, bool)).astype(np.int32)
+    slot = xp.table(around(np.arange(x * y * z).reshape(x, y, z), index, -1))
+    sides = np.array(cell_sides(xp, empty, slot, len(index))).reshape(x, y, z, SIDE, SIDE, SIDE)
     whole: Int[np.ndarray, "X Y Z"] = sides.transpose(0, 3, 1, 4, 2, 5).reshape(padded.shape)
     return np.ascontiguousarray(whole[tuple(slice(0, n) for n in shape)])
-
-
-def _packed(
-    rows: UInt8[np.ndarray, "n 8 8"], table: Integer[np.ndarray, "bx by bz"], index: Int[np.ndarray, "m 3"]
-) -> Int[np.ndarray, "m 8 8 8"]:
-    """Pack the sides of all octants of some blocks."""
-    fields = np.zeros((len(index), SIDE, SIDE, SIDE, OCTANTS // 2), np.uint8)  # two octants to a byte
-    for pair in range(OCTANTS // 2):
-        both = np.zeros((len(index), SIDE, SIDE), np.uint64)
-        for octant in (2 * pair, 2 * pair + 1):
-            falls = (octant & 1 > 0, octant & 2 > 0, octant & 4 > 0)
-            digits = _digits(_window(rows, table, index, falls))
-            for place, digit in enumerate(digits):
-                back = digit[:, :: -1 if falls[0] else 1, :: -1 if falls[1] else 1]
-                bits = _SPREAD.take(_REVERSED.take(back) if falls[2] else back)
-                both |= bits << np.uint64(place + FIELD * (octant & 1))
-        fields[..., pair] = both[..., None].view(np.uint8)
-    return fields.view("<i4")[..., 0].astype(np.int32, copy=False)
-
-
-def _window(
-    rows: UInt8[np.ndarray, "n 8 8"],
-    table: Integer[np.ndarray, "bx by bz"],
-    index: Int[np.ndarray, "m 3"],
-    falls: tuple[bool, bool, bool],
-) -> UInt16[np.ndarray, "m 14 14"]:
-    """Return the empty cells ahead of a block and in it, mirrored so that ahead is up along every axis."""
-    out = np.empty((len(index), _WINDOW, _WINDOW), np.uint16)
-    step = [-1 if fall else 1 for fall in falls]
-    spans = (slice(0, SIDE), slice(SIDE, _WINDOW))
-    for i, x in enumerate(spans):
-        for j, y in enumerate(spans):
-            words = np.zeros((len(index), SIDE, SIDE), np.uint16)
-            for k in (0, 1):
-                block = rows[table[index[:, 0] + i * step[0], index[:, 1] + j * step[1], index[:, 2] + k * step[2]]]
-                block = _REVERSED.take(block) if falls[2] else block
-                words |= block.astype(np.uint16) << np.uint16(SIDE * k)
-            mirrored = words[:, :: step[0], :: step[1]]
-            out[:, x, y] = mirrored[:, : x.stop - x.start, : y.stop - y.start]
-    return out
-
-
-def _digits(empty: UInt16[np.ndarray, "m 14 14"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the binary digits of the sides, lowest first, as rows of eight cells.
-
-    A cube of side k is empty if the eight cubes of side k - 1 in it are.
-    """
-    fits, cubes = [], empty
-    for side in range(1, MOST + 1):
-        if side > 1:
-            cubes = cubes & (cubes >> np.uint16(1))
-            cubes = cubes[:, :-1] & cubes[:, 1:]
-            cubes = cubes[:, :, :-1] & cubes[:, :, 1:]
-        fits.append(cubes[:, :SIDE, :SIDE].astype(np.uint8))
-    one, two, three, four, five, six, seven = fits
-    return (one & ~two) | (three & ~four) | (five & ~six) | seven, (two & ~four) | six, four

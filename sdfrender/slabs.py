@@ -7,211 +7,256 @@ function's values at the Greville points (r/d, s/d, t/d), because Bernstein poly
 A ray whose two ends in a cell are beyond the same plane does not meet the surface there, and needs no polynomial.
 """
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from functools import reduce
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from sdfbake.bricks import SIDE
+from sdfbake.engine import Array, Engine
 from sdfrender.kernels import Kernel
-from sdfrender.stencils import Stencils
+from sdfrender.stencils import Blocks, Stencils, brick_row, coefficient, in_lattice, lost, width
 
-_CHUNK = 32  # bricks at once: their intervals and the nets of their cells stay in the caches
-_CELLS = 32  # to a matrix product: BLAS starts threads of its own for larger ones, and ours are busy
 _SINGLE = float(np.finfo(np.float32).eps)
+_UP = 1 + 8 * _SINGLE  # more than what turning a bound into single precision, and adding to it, takes off
 
-Result = TypeVar("Result")
+Cube = dict[tuple[int, ...], Array]  # entries by their place along x, y, z
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Slabs:
+class Slabs(NamedTuple):
     """The cells that may hold surface; everywhere else |f| > margin, by certificate.
 
     Attributes
     ----------
+    size
+        How many there are; the arrays have an entry all the same if there are none.
     cell
         Numbers of the cells among those of all bricks, 512 slot + 64 i + 8 j + k, ascending.
     plane
-        (n, 4): c, g per cell; g per voxel.
+        Rows of four: c, g per cell; g per voxel; single precision, as delta.
     delta
         Half the slab's width, with the rounding of all that computes and reads the slab.
     largest
         Greatest sum of |weight x coefficient| behind a control point of these cells' nets.
     """
 
-    cell: Int[np.ndarray, " n"]
-    plane: Float[np.ndarray, "n 4"]
-    delta: Float[np.ndarray, " n"]
+    size: int
+    cell: Array
+    plane: Array
+    delta: Array
     largest: float
 
 
-class _Maps(NamedTuple):
-    """Matrices from the taps of a cell, in single precision.
-
-    Attributes
-    ----------
-    slab
-        (terms^3 + 3, taps^3): the net minus g . (x - 1/2), then g.
-    magnitude
-        (terms^3, taps^3): |weight| of every tap in every control point.
-    rounding
-        Bound of the rounding of a slab's residual, over the greatest tap: sums of taps^3 products for the residual
-        and for g, whose error counts 3/2 times in the cell; as much again for the rounded taps and weights.
-    """
-
-    slab: Float[np.ndarray, "rows taps"]
-    magnitude: Float[np.ndarray, "terms taps"]
-    rounding: float
-
-
-def slabs(made: Stencils, kernel: Kernel, margin: Callable[[float], float]) -> Slabs:
+def slabs(xp: Engine, made: Stencils, blocks: Blocks, kernel: Kernel, margin: Callable[[float], float]) -> Slabs:
     """Find the cells that may hold surface.
 
     The nets are computed in single precision whatever traces: their rounding widens the slabs by a millionth.
 
     Parameters
     ----------
-    made
+    xp
+        The engine.
+    made, blocks
         Coefficients of every brick.
     kernel
         The kernel.
     margin
         Of the greatest sum of |weight x coefficient| that any cell can have: the least |f| of a cell that is empty.
     """
-    low, high = _extremes(made.coefficients)
-    reach = float(np.maximum(np.abs(low), np.abs(high)).max(initial=0.0))
-    overlap = float(np.abs(kernel.bezier).sum(axis=1).max()) ** 3
-    least = margin(overlap * reach)
-    wider = (kernel.overlap**3 - 1) / 2 * (high - low) + least
-    asked = np.flatnonzero((low - wider <= 0) & (high + wider >= 0))
-    maps = _maps(kernel)
-
-    def classify(part: slice) -> Slabs:
-        rows = asked[part]
-        coefficients = made.coefficients[rows].astype(np.float32, copy=False)
-        within = least + 64 * _SINGLE * overlap * reach
-        cells = np.flatnonzero(_straddles(coefficients, kernel, within) & made.complete[rows])
-        plane, delta = _planes(_taps(coefficients, cells, kernel.taps), len(cells), maps)
-        # The corners of the cell are half a voxel from its centre along every axis.
-        may = np.abs(plane[:, 0]) <= np.abs(plane[:, 1:]).sum(axis=1) / 2 + delta + least
-        kept = cells[may]
-        behind = maps.magnitude @ np.abs(_taps(coefficients, kept, kernel.taps))
-        number = rows[kept // SIDE**3] * SIDE**3 + kept % SIDE**3
-        return Slabs(number, plane[may], delta[may], float(behind.max(initial=0.0)))
-
-    parts = _by_chunks(classify, len(asked))
-    largest = max((part.largest for part in parts), default=0.0) * (1 + 2 * kernel.taps**3 * _SINGLE)
-    nothing = Slabs(np.zeros(0, np.int64), np.zeros((0, 4), np.float32), np.zeros(0, np.float32), 0.0)
-    parts = parts or [nothing]
-    cell, plane, delta = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("cell", "plane", "delta")
+    reach = max(abs(end) for end in xp.extremes(made.coefficients))
+    least = margin(_greatest_row(kernel) ** 3 * reach) * _UP
+    asked = _asked(xp, made, blocks, kernel, (least, reach))
+    count = len(asked)
+    if count == 0:
+        return _nothing(xp)
+    margins = xp.at(32).uniform(least)
+    plane, delta, behind, may = xp.tabulated(
+        count, lambda lane: _slab(xp, made, kernel, xp.gather(asked, lane, True), margins)
     )
-    return Slabs(cell, plane, delta, largest)
+    kept = xp.kept(may)
+    if len(kept) == 0:
+        return _nothing(xp)
 
-
-def _by_chunks(work: Callable[[slice], Result], count: int) -> list[Result]:
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(work, [slice(start, start + _CHUNK) for start in range(0, count, _CHUNK)]))
-
-
-def _extremes(coefficients: Float[np.ndarray, "k S S S"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Return the least and the greatest coefficient of every brick."""
-    each = (1, 2, 3)
-    ends = _by_chunks(
-        lambda part: (coefficients[part].min(axis=each), coefficients[part].max(axis=each)), len(coefficients)
-    )
-    if not ends:
-        return np.zeros(0), np.zeros(0)
-    low, high = (np.concatenate(side).astype(np.float64) for side in zip(*ends, strict=True))
-    return low, high
-
-
-def _maps(kernel: Kernel) -> _Maps:
-    basis, terms = kernel.bezier, kernel.degree + 1
-    net = np.kron(np.kron(basis, basis), basis).reshape(terms, terms, terms, -1)
-    greville = np.arange(terms) / kernel.degree - 0.5
-    residual, slopes = net.copy(), []
-    for axis in range(3):
-        ends = net.take(-1, axis) - net.take(0, axis)
-        slope = ends.mean(axis=(0, 1))
-        place = greville.reshape([-1 if a == axis else 1 for a in range(3)] + [1])
-        residual -= place * slope
-        slopes.append(slope)
-    left, gradient = residual.reshape(terms**3, -1), np.stack(slopes)
-    worst = np.abs(left).sum(axis=1).max() + 1.5 * np.abs(gradient).sum(axis=1).max()
-    return _Maps(
-        np.concatenate([left, gradient]).astype(np.float32),
-        np.abs(net).reshape(terms**3, -1).astype(np.float32),
-        float(2 * kernel.taps**3 * _SINGLE * worst),
-    )
-
-
-def _planes(
-    taps: Float[np.ndarray, "blocks taps 32"], count: int, maps: _Maps
-) -> tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, " n"]]:
-    """Fit a slab to every cell: the middle of the residual's range, the slope, and what is left."""
-    rows = maps.slab @ taps
-    residual, gradient = rows[:, :-3], rows[:, -3:]
-    low, high = residual.min(axis=1), residual.max(axis=1)
-    middle = (low + high) / 2
-    rounding = maps.rounding * np.abs(taps).max(axis=1)
-    # An engine of either precision: x - 1/2, three products, three sums: under 8 units of the terms' magnitudes.
-    reading = 4 * _SINGLE * (np.abs(middle) + np.abs(gradient).sum(axis=1))
-    delta = (high - low) / 2 + rounding + reading
-    plane = np.concatenate([middle[:, None], gradient], axis=1).transpose(0, 2, 1).reshape(-1, 4)
-    return plane[:count], delta.ravel()[:count]
-
-
-def _straddles(
-    coefficients: Float[np.ndarray, "m S S S"], kernel: Kernel, within: float
-) -> Bool[np.ndarray, "m 8 8 8"]:
-    """Say which cells' nets can come near 0, bounded by intervals: the Bezier form of one axis after the other."""
-    low: np.ndarray = coefficients
-    high = low
-    for axis in (1, 2, 3):
-        lows, highs = (
-            [bound[(slice(None),) * axis + (slice(tap, tap + SIDE),)] for tap in range(kernel.taps)]
-            for bound in (low, high)
+    def chosen(lane: Array) -> tuple[tuple[Array, ...], ...]:
+        number = xp.gather(kept, lane, True)
+        row = xp.at(32).rows(plane, number, True)
+        return (
+            (xp.gather(asked, number, True),),
+            row,
+            (xp.gather(delta, number, True),),
+            (xp.gather(behind, number, True),),
         )
-        rows = [_interval(row, lows, highs) for row in kernel.bezier]
-        low, high = rows[0]
-        for least, most in rows[1:]:
-            low, high = np.minimum(low, least), np.maximum(high, most)
-    near: Bool[np.ndarray, "m 8 8 8"] = (low <= within) & (high >= -within)
-    return near
+
+    cell, plane, delta, behind = xp.tabulated(len(kept), chosen)
+    largest = xp.extremes(behind)[1] * (1 + 32 * _SINGLE)
+    return Slabs(len(kept), cell, plane, delta, largest)
 
 
-def _interval(
-    weights: Float[np.ndarray, " taps"], lows: list[np.ndarray], highs: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Combine intervals with weights of either sign."""
-    used = [(tap, weight) for tap, weight in enumerate(weights.tolist()) if abs(weight) > 1e-15]  # what rounding left
-    if len(used) == 1 and used[0][1] == 1:
-        return lows[used[0][0]], highs[used[0][0]]
-    sums = []
-    for near, far in ((lows, highs), (highs, lows)):
-        first, *others = ((near if weight > 0 else far)[tap] * np.float32(weight) for tap, weight in used)
-        sums.append(sum(others, start=first))
-    return sums[0], sums[1]
+def _nothing(xp: Engine) -> Slabs:
+    """Return no slabs; no engine likes an empty table."""
+    single = xp.at(32)
+    return Slabs(0, xp.table(np.zeros(1, np.int32)), single.table(np.zeros(4)), single.table(np.zeros(1)), 0.0)
 
 
-def _taps(
-    coefficients: Float[np.ndarray, "m S S S"], cells: Int[np.ndarray, " n"], taps: int
-) -> Float[np.ndarray, "blocks taps3 32"]:
-    """Gather the coefficients of cells given by their number in the bricks, z fastest, some cells to a block.
+def _greatest_row(kernel: Kernel) -> float:
+    """Return the greatest sum of |weight| behind a control point of one axis."""
+    return float(np.abs(kernel.bezier).sum(axis=1).max())
 
-    The last block is filled up with the first cell.
+
+def _asked(xp: Engine, made: Stencils, blocks: Blocks, kernel: Kernel, bounds: tuple[float, float]) -> Array:
+    """Return the cells that a look at the planes across x does not show to be empty: |f| > least.
+
+    On a plane of coefficients f lies in the hull of its net along y and z. If no weight is negative, on the cell it
+    lies in that of all its planes. If some are, it lies in that of the inner two, wider by a multiple of the greatest
+    difference of neighbours.
     """
-    size, tap = coefficients.shape[-1], np.arange(taps)
-    offset = ((tap[:, None, None] * size + tap[:, None]) * size + tap).reshape(-1, 1)
-    brick, local = np.divmod(cells, SIDE**3)
-    base = ((brick * size + (local >> 6)) * size + ((local >> 3) & 7)) * size + (local & 7)
-    base = np.concatenate([base, np.repeat(base[:1], -len(base) % _CELLS)])
-    cubes: Float[np.ndarray, "blocks taps3 32"] = coefficients.reshape(-1).take(
-        base.reshape(len(base) // _CELLS, 1, _CELLS) + offset
+    (least, reach), growth, count = bounds, _greatest_row(kernel), blocks.size
+    planes, bound = range(kernel.taps), least + 32 * _SINGLE * growth**2 * reach
+    if growth > 1 + 1e-12:
+        planes = range(kernel.taps // 2 - 1, kernel.taps // 2 + 1)
+        bound += _overshoot(kernel) * growth**2 * _steepest(xp, blocks, made, kernel)
+    limit, size = xp.at(32).uniform(bound * _UP), width(kernel)
+
+    (words,) = xp.tabulated(count * size * SIDE, lambda lane: ((_beyond(xp, made, kernel, lane, limit),),))
+
+    def near(lane: Array) -> tuple[tuple[Array]]:
+        brick, x, y = brick_row(lane)
+        row = ((brick * size + x) << 3) | y
+        beyond = reduce(lambda a, b: a & b, [xp.gather(words, row + (i << 3), True) for i in planes])
+        return ((~(beyond | (beyond >> SIDE)) & xp.gather(made.complete, lane, True),),)
+
+    (rows,) = xp.tabulated(count * SIDE**2, near)
+    (mask,) = xp.tabulated(
+        count * SIDE**3, lambda lane: ((((xp.gather(rows, lane >> 3, True) >> (lane & 7)) & 1) > 0,),)
     )
-    return cubes
+    return xp.kept(mask)
+
+
+def _beyond(xp: Engine, made: Stencils, kernel: Kernel, lane: Array, limit: Array) -> Array:
+    """Return of which cells of a row, in a plane across x, the net is above the limit (bits 0 to 7) or below (8 to 15).
+
+    The lane is the brick, the plane, and the cells' place along y.
+    """
+    size, single = width(kernel), xp.at(32)
+    first = (lane >> 3) * size**2 + (lane & 7) * size
+    values: Cube = {
+        (y, z): single.real(xp.gather(made.coefficients, first + (y * size + z), True))
+        for y, z in product(range(kernel.taps), range(size))
+    }
+    along_y = _converted(single, values, kernel.bezier)  # places are (z, r)
+    word = xp.full(lane, 0)
+    for z in range(SIDE):
+        taps: Cube = {(tap, r): along_y[z + tap, r] for tap, r in product(range(kernel.taps), range(kernel.degree + 1))}
+        net = [*_converted(single, taps, kernel.bezier).values()]
+        word = word | (xp.integer(single.least(net) > limit) << z)
+        word = word | (xp.integer(single.most(net) < -limit) << (z + SIDE))
+    return word
+
+
+def _overshoot(kernel: Kernel) -> float:
+    """Bound how far the control points of one axis leave the hull of its inner two taps, over the greatest difference.
+
+    A row of the Bezier form is the linear interpolant at its Greville point and a sum of differences of neighbours.
+    """
+    lower, degree = kernel.taps // 2 - 1, kernel.degree
+    rows = kernel.bezier.copy()
+    place = np.arange(degree + 1) / degree
+    rows[:, lower] -= 1 - place
+    rows[:, lower + 1] -= place
+    return float(np.abs(np.cumsum(rows, axis=1)).sum(axis=1).max())
+
+
+def _steepest(xp: Engine, blocks: Blocks, made: Stencils, kernel: Kernel) -> float:
+    """Return the greatest difference, along x, of neighbouring coefficients that are made of samples."""
+    size = width(kernel)
+
+    def step(lane: Array) -> tuple[tuple[Array]]:
+        brick, (x, y, z) = coefficient(lane, kernel)
+        known = x < kernel.first + size - 1
+        for axis, p in enumerate((x, y, z)):  # a cell reads one coefficient beyond the lattice, and none farther
+            known = known & (xp.gather(blocks.first[axis], brick, True) + p <= blocks.samples[axis])
+        for at in (x, x + 1):
+            row_x, row_y, row_z = in_lattice(xp, blocks, brick, (at, y, z))
+            known = known & ~lost(xp, blocks, kernel, brick, (row_x, row_y))(row_z)
+        here, there = xp.gather(made.coefficients, lane, True), xp.gather(made.coefficients, lane + size**2, known)
+        return ((xp.where(known, xp.abs(there - here), 0.0),),)
+
+    (steps,) = xp.tabulated(blocks.size * size**3, step)
+    return xp.extremes(steps)[1]
+
+
+def _slab(
+    xp: Engine, made: Stencils, kernel: Kernel, cell: Array, least: Array
+) -> tuple[tuple[Array, Array, Array, Array], tuple[Array], tuple[Array], tuple[Array]]:
+    """Fit a slab: the middle of the residual's range, the slope, and what is left; and say whether it comes near 0.
+
+    The third result is the greatest sum of magnitudes behind a control point.
+    """
+    single, terms = xp.at(32), range(kernel.degree + 1)
+    taps = _taps(xp, made, kernel, cell)
+    net = _net(single, taps, kernel.bezier)
+    slope = [_slope(net, axis, len(terms)) for axis in range(3)]
+    along = [[g * (r / kernel.degree - 0.5) for r in terms] for g in slope]
+    rest = [(net[r, s, t] - (along[0][r] + along[1][s])) - along[2][t] for r, s, t in product(terms, repeat=3)]
+    low, high = single.least(rest), single.most(rest)
+    middle, steep = (low + high) * 0.5, reduce(lambda a, b: a + b, [single.abs(g) for g in slope])
+    sizes = {place: single.abs(tap) for place, tap in taps.items()}
+    # Over twice what rounds (docs/tracing.md), and what an engine of either precision rounds where it reads the slab.
+    rounding = single.most([*sizes.values()]) * (64 * _SINGLE * _greatest_row(kernel) ** 3)
+    delta = (high - low) * 0.5 + rounding + (single.abs(middle) + steep) * (4 * _SINGLE)
+    behind = single.most([*_net(single, sizes, np.abs(kernel.bezier)).values()])
+    # The corners of the cell are half a voxel from its centre along every axis.
+    may = single.abs(middle) <= steep * 0.5 + delta + least
+    within = least + rounding
+    may = may & (single.least([*net.values()]) <= within) & (single.most([*net.values()]) >= -within)
+    return (middle, slope[0], slope[1], slope[2]), (delta,), (behind,), (may,)
+
+
+def _taps(xp: Engine, made: Stencils, kernel: Kernel, cell: Array) -> Cube:
+    """Look up the coefficients of a cell, in single precision."""
+    size = width(kernel)
+    brick, x, y = brick_row(cell >> 3)
+    base = ((brick * size + x) * size + y) * size + (cell & 7)
+    return {
+        (i, j, k): xp.at(32).real(xp.gather(made.coefficients, base + ((i * size + j) * size + k), True))
+        for i, j, k in product(range(kernel.taps), repeat=3)
+    }
+
+
+def _net(xp: Engine, values: Cube, basis: Float[np.ndarray, "terms taps"]) -> Cube:
+    """Turn coefficients into control points, one axis after the other."""
+    for _ in range(3):
+        values = _converted(xp, values, basis)
+    return values
+
+
+def _converted(xp: Engine, values: Cube, basis: Float[np.ndarray, "terms taps"]) -> Cube:
+    """Turn the first axis into Bezier form, and make it the last."""
+    rows = [[(tap, float(w)) for tap, w in enumerate(row) if abs(w) > 1e-15] for row in basis]  # not what rounding left
+    return {
+        (*other, r): _combined(xp, [(values[tap, *other], w) for tap, w in row])
+        for other in dict.fromkeys(place[1:] for place in values)
+        for r, row in enumerate(rows)
+    }
+
+
+def _combined(xp: Engine, terms: list[tuple[Array, float]]) -> Array:
+    first, weight = terms[0]
+    total = first if weight == 1 else first * weight
+    for value, weight in terms[1:]:
+        total = xp.fma(value, weight, total)
+    return total
+
+
+def _slope(net: Cube, axis: int, terms: int) -> Array:
+    """Return the mean difference of the net's opposite faces."""
+    near, far = (
+        reduce(
+            lambda a, b: a + b, [net[(*place[:axis], end, *place[axis:])] for place in product(range(terms), repeat=2)]
+        )
+        for end in (0, terms - 1)
+    )
+    return (far - near) * (1 / terms**2)

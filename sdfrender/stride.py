@@ -3,8 +3,9 @@
 In: a ray in grid coordinates and a cube of cells that begins where the ray is. Out: the face on which it leaves, the
 cell behind it, and where in a cell the ray enters and leaves.
 
-Cells are counted along the ray: where a direction falls, from the far end of the lattice's bricks. So every ray goes
-up on every axis, and a cube ahead always begins at the cell and ends before another.
+All is counted along the ray: where a direction falls, coordinates and cells begin at the far end of the lattice's
+bricks. So every ray goes up on every axis, a cube ahead always begins at the cell and ends before another, and a cell
+is entered at 0 and left at 1.
 """
 
 from typing import NamedTuple
@@ -18,42 +19,45 @@ DONE, WALK, SOLVE, HIT = 0, 1, 2, 3
 
 
 class Ray(NamedTuple):
-    """What does not change along a ray; cells are counted along it.
+    """What does not change along a ray, counted along it.
 
     Attributes
     ----------
-    p, d, inverse
-        Origin, direction and 1 / d.
-    parallel
-        Masks: d is 0 on the axis, or so small that 1 / d overflows.
-    turn, first
-        A coordinate x is at first + turn * x along the ray; turn is 1 or -1.
-    top
-        Last cell of the lattice on every axis.
+    p, d
+        Origin and direction; no component of the latter is negative.
+    inverse, offset
+        The plane x is crossed at inverse * x + offset: 1 / d and -p / d. Where d is 0, or so small that 1 / d
+        overflows, 0 and infinity.
+    falls
+        Masks: on these axes coordinates are counted from the far end.
+    end
+        The cell behind the last of the lattice on every axis.
     step, corner, flip
         Where a brick is in the table, corner + step . brick; and what turns a cell's number in its brick.
     field
         Bit where the ray's octant begins in packed sides.
     leaving
         Mask: starts on the surface.
+    until
+        The parameter where the ray ends.
     """
 
     p: Vector
     d: Vector
     inverse: Vector
-    parallel: Vector
-    turn: Vector
-    first: Vector
-    top: Cell
+    offset: Vector
+    falls: Vector
+    end: Cell
     step: Cell
     corner: Array
     flip: Array
     field: Array
     leaving: Array
+    until: Array
 
 
 class Walk(NamedTuple):
-    """Where a ray is: the cell it is in, and through which faces it came (bits 0, 1, 2 for x, y, z).
+    """Where a ray is: the cell it is in, and masks: through which of its faces it came.
 
     The sign is that of the interpolant where it was last certain; 0 before.
     """
@@ -61,7 +65,7 @@ class Walk(NamedTuple):
     status: Array
     t: Array
     cell: Cell
-    came: Array
+    came: Vector
     sign: Array
 
 
@@ -97,36 +101,40 @@ def _is_parallel(xp: Engine, d: Array) -> Array:
     return xp.abs(d) < (2.0**-126 if xp.precision == 32 else 2.0**-1022)
 
 
-def prepared(xp: Engine, tables: Tables, p: Vector, d: Vector, leaving: Array) -> Ray:
+def prepared(xp: Engine, tables: Tables, p: Vector, d: Vector, leaving: Array, until: Array) -> Ray:
     """Prepare a ray."""
     axes, bricks = range(3), tables.bricks
-    falls, parallel = [xp.integer(c < 0) for c in d], three(_is_parallel(xp, c) for c in d)
+    falls, parallel = three(c < 0 for c in d), three(_is_parallel(xp, c) for c in d)
+    down = [xp.integer(mask) for mask in falls]
     strides = (bricks[1] * bricks[2], bricks[2], 1)
     corner, flip, octant = (xp.full(p[0], 0) for _ in axes)
     for a in axes:
-        corner = corner + falls[a] * ((bricks[a] - 1) * strides[a])
-        flip = flip | (falls[a] * ((SIDE - 1) << (SHIFT * (2 - a))))
-        octant = octant | (falls[a] << a)
+        corner = corner + down[a] * ((bricks[a] - 1) * strides[a])
+        flip = flip | (down[a] * ((SIDE - 1) << (SHIFT * (2 - a))))
+        octant = octant | (down[a] << a)
     last = [n - 2 for n in tables.samples]
+    along = three(xp.where(falls[a], xp.real(bricks[a] << SHIFT) - p[a], p[a]) for a in axes)
+    size = three(xp.abs(c) for c in d)
+    inverse = three(xp.where(parallel[a], 0.0, 1.0 / xp.where(parallel[a], 1.0, size[a])) for a in axes)
     return Ray(
-        p,
-        d,
-        three(1.0 / xp.where(parallel[a], 1.0, d[a]) for a in axes),
-        parallel,
-        three(1.0 - 2.0 * xp.real(falls[a]) for a in axes),
-        three(xp.real(falls[a] * (bricks[a] << SHIFT)) for a in axes),
-        three(falls[a] * ((bricks[a] << SHIFT) - 1 - last[a]) + last[a] for a in axes),
-        three((1 - 2 * falls[a]) * strides[a] for a in axes),
+        along,
+        size,
+        inverse,
+        three(xp.where(parallel[a], float("inf"), -along[a] * inverse[a]) for a in axes),
+        falls,
+        three(down[a] * ((bricks[a] << SHIFT) - 1 - last[a]) + last[a] + 1 for a in axes),
+        three((1 - 2 * down[a]) * strides[a] for a in axes),
         corner,
         flip,
         octant * FIELD,
         leaving,
+        until,
     )
 
 
-def turned(xp: Engine, ray: Ray, cell: Cell) -> Cell:
+def turned(xp: Engine, tables: Tables, ray: Ray, cell: Cell) -> Cell:
     """Turn cells of the lattice into cells along the ray, or back."""
-    return three(xp.where(ray.turn[a] < 0, xp.integer(ray.first[a]) - 1 - cell[a], cell[a]) for a in range(3))
+    return three(xp.where(ray.falls[a], (tables.bricks[a] << SHIFT) - 1 - cell[a], cell[a]) for a in range(3))
 
 
 def behind(cell: Cell) -> Cell:
@@ -135,16 +143,13 @@ def behind(cell: Cell) -> Cell:
 
 
 def leave_cube(xp: Engine, ray: Ray, t: Array, cell: Cell, end: tuple[Array, ...]) -> Way:
-    """Leave a cube that begins at a cell and ends before others, all counted along the ray.
+    """Leave a cube that begins at a cell and ends before others.
 
     Always advances at least one cell along the axes of the faces and never moves back along another, so that the walk
     ends whatever the rounding; nor does it leave the lattice but through a face.
     """
-    end = tuple(xp.minimum(end[a], ray.top[a] + 1) for a in range(3))
-    crossing = []
-    for a in range(3):
-        plane = xp.fma(ray.turn[a], xp.real(end[a]), ray.first[a])
-        crossing.append(xp.where(ray.parallel[a], float("inf"), (plane - ray.p[a]) * ray.inverse[a]))
+    end = tuple(xp.minimum(end[a], ray.end[a]) for a in range(3))
+    crossing = [xp.fma(xp.real(end[a]), ray.inverse[a], ray.offset[a]) for a in range(3)]
     first = xp.minimum(xp.minimum(crossing[0], crossing[1]), crossing[2])
     after = xp.maximum(first, t)
     by_x, by_y = crossing[0] <= first, crossing[1] <= first
@@ -152,32 +157,32 @@ def leave_cube(xp: Engine, ray: Ray, t: Array, cell: Cell, end: tuple[Array, ...
     exits = (by_x, by_y, (crossing[2] <= first) | ~(by_x | by_y))
     following = []
     for a in range(3):
-        place = xp.fma(ray.turn[a], xp.fma(ray.d[a], after, ray.p[a]), ray.first[a])
-        at = clamp(xp, xp.integer(place), cell[a], end[a] - 1)
+        at = clamp(xp, xp.integer(xp.fma(ray.d[a], after, ray.p[a])), cell[a], end[a] - 1)
         following.append(xp.where(exits[a], end[a], at))
     return Way(after, three(following), exits)
 
 
 def ends_in_cell(xp: Engine, ray: Ray, walk: Walk, way: Way) -> tuple[Vector, Vector]:
-    """Return where a ray enters and leaves its cell, in the cell's coordinates.
+    """Return where a ray enters and leaves its cell, 0 to 1 along the ray.
 
     On the faces that it passes these are 0 or 1 exactly, so that no root is lost between a cell and an empty one.
     """
     enter, leave = [], []
     for a in range(3):
-        # By the cell's middle, which does not depend on which way the cells are counted.
-        low = xp.fma(ray.turn[a], xp.real(walk.cell[a]) + 0.5, ray.first[a]) - 0.5
-        anchored, half = ray.p[a] - low, 0.5 * ray.turn[a]
+        anchored = ray.p[a] - xp.real(walk.cell[a])
         begin, end = xp.fma(ray.d[a], walk.t, anchored), xp.fma(ray.d[a], way.t, anchored)
-        enter.append(xp.where((walk.came & (1 << a)) != 0, 0.5 - half, clamp(xp, begin, 0.0, 1.0)))
-        leave.append(xp.where(way.exits[a], 0.5 + half, clamp(xp, end, 0.0, 1.0)))
+        enter.append(xp.where(walk.came[a], 0.0, clamp(xp, begin, 0.0, 1.0)))
+        leave.append(xp.where(way.exits[a], 1.0, clamp(xp, end, 0.0, 1.0)))
     return three(enter), three(leave)
 
 
+def in_lattice(xp: Engine, ray: Ray, u: Vector) -> Vector:
+    """Turn places in a cell along the ray into those along the lattice's axes."""
+    return three(xp.where(ray.falls[a], 1.0 - u[a], u[a]) for a in range(3))
+
+
 def moved_on(xp: Engine, ray: Ray, way: Way, sign: Array) -> Walk:
-    """Go on behind a cube, if the lattice does."""
+    """Go on behind a cube, if the lattice and the ray do."""
     x, y, z = way.cell
-    inside = (x <= ray.top[0]) & (y <= ray.top[1]) & (z <= ray.top[2])
-    by_x, by_y, by_z = (xp.integer(exits) for exits in way.exits)
-    came = by_x | (by_y << 1) | (by_z << 2)
-    return Walk(xp.integer(inside) * WALK, way.t, way.cell, came, sign)
+    inside = (way.t < ray.until) & (x < ray.end[0]) & (y < ray.end[1]) & (z < ray.end[2])
+    return Walk(xp.integer(inside) * WALK, way.t, way.cell, way.exits, sign)

@@ -105,12 +105,9 @@ def base_of(xp: Engine, tables: Tables, cell: Cell, active: Array) -> Array:
     return xp.where(active & (slot >= 0), ((slot * s + a) * s + b) * s + c, 0)
 
 
-def stencil(xp: Engine, tables: Tables, base: Array, active: Array) -> list[Array]:
-    """Gather the taps^3 coefficients of a cell, z fastest."""
-    s, taps = tables.width, range(tables.kernel.taps)
-    return [
-        xp.gather(tables.coefficients, base + ((i * s + j) * s + k), active) for i in taps for j in taps for k in taps
-    ]
+def stencil(xp: Engine, tables: Tables, base: Array, active: Array) -> Array:
+    """Gather the taps^3 coefficients of a cell, for the engine's sums over a cube."""
+    return xp.stencil(tables.coefficients, base, tables.kernel.taps, tables.width, active)
 
 
 def cell_of(xp: Engine, tables: Tables, p: Vector) -> Cell:

@@ -97,7 +97,7 @@ def trace(
         If the arrays do not match, are not finite, or hold a direction of no length.
     """
     origins, directions = _checked(origins, directions)
-    ahead = _approach(field, origins, directions, on_surface)
+    ahead = approach(field, origins, directions, on_surface=on_surface)
 
     def program(xp: Engine, *c: Array) -> dict[str, Array]:
         p, d = (c[0], c[1], c[2]), (c[3], c[4], c[5])
@@ -123,12 +123,12 @@ def transfer(field: Field, rays_: Rays, *, on_surface: bool = False) -> tuple[Hi
     Returns
     -------
     hits
-        With flags HORIZON, CAUSTIC and EDGE.
+        With flags HORIZON, CAUSTIC, BAND and EDGE.
     rays
         At the hits, with the hits' flags added to their own; rays that miss stay as they are.
     """
     _checked(rays_.p, rays_.d)
-    ahead = _approach(field, rays_.p, rays_.d, on_surface)
+    ahead = approach(field, rays_.p, rays_.d, on_surface=on_surface)
 
     def program(xp: Engine, *c: Array) -> dict[str, Array]:
         incoming, begin = beam(c[:18]), c[18]
@@ -171,6 +171,7 @@ def footprint(field: Field, hits: Hits, rays_: Rays, *, size: tuple[int, int] = 
     size
         Width and height of the texture, texels: only the levels of detail depend on it.
     """
+    field.prepare_uv()
 
     def program(xp: Engine, *c: Array) -> dict[str, Array]:
         incoming, hit, n = beam(c[:18]), c[18] > 0, (c[19], c[20], c[21])
@@ -212,6 +213,7 @@ def hit_flags(xp: Engine, field: Field, spot: Spot, jet: Jet, incoming: Beam, t:
     said = [
         (Flag.HORIZON, optics.crosses_horizon(xp, incoming, jet)),
         (Flag.CAUSTIC, optics.passes_caustic(xp, incoming, t)),
+        (Flag.BAND, field.beyond_band(xp, spot)),
     ]
     if field.is_distance:
         said.append((Flag.EDGE, optics.is_edge(xp, jet)))
@@ -257,7 +259,7 @@ def _checked(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, n
     return origins, directions
 
 
-def _approach(field: Field, p: np.ndarray, d: np.ndarray, on_surface: bool) -> Float[np.ndarray, " n"]:
+def approach(field: Field, p: np.ndarray, d: np.ndarray, *, on_surface: bool = False) -> Float[np.ndarray, " n"]:
     """Return how far a ray from outside may go in float64 before the field's box begins.
 
     Positions then have the box's size, whatever the distance they came from: float32 loses nothing to it.

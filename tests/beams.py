@@ -1,14 +1,10 @@
-"""Bundles of rays for optical tests: four independent perturbations each, the form that they keep, and solids whose
-surface is met from inside too."""
-
-from types import SimpleNamespace
+"""Bundles of rays for optical tests: four independent perturbations each, the form that they keep, a crossing."""
 
 import numpy as np
 
 from sdfrender import Rays, leaving, refract, transfer
 
 INDEX = 1.5
-LIFT = 1e-9  # a ray that starts on a surface starts this far along: clear of rounding, small beside every shape
 
 
 def perpendicular(vectors, d):
@@ -48,31 +44,6 @@ def symplectic_defect(before, after, index_before=1.0, index_after=1.0):
     size = np.max([np.sum(dp * dp + dd * dd, axis=1) for dp, dd in moves], axis=0)
     defects = np.abs(index_after * forms(after) - index_before * forms(before)) / size
     return np.max(defects, axis=0)
-
-
-def glassy(shape):
-    """The same shape, with rays from inside met where they leave: marched by the exact distance, polished by Newton."""
-
-    def leave(o, d):
-        t = np.full(len(o), LIFT)
-        for _ in range(300):
-            t = t - shape.distance(o + t[:, None] * d)
-        for _ in range(3):
-            p = o + t[:, None] * d
-            slope = np.sum(shape.normal(p) * d, axis=1)
-            t = t - np.where(slope > 1e-3, shape.distance(p) / np.where(slope > 1e-3, slope, 1.0), 0.0)
-        return t
-
-    def intersect(o, d):
-        value = shape.distance(o)
-        inside = (value < -LIFT) | (np.abs(value) <= LIFT) & (np.sum(shape.normal(o) * d, axis=1) < 0)
-        t = np.empty(len(o))
-        t[~inside], t[inside] = shape.intersect(o[~inside], d[~inside]), leave(o[inside], d[inside])
-        return t
-
-    asked = ("distance", "normal", "hessian", "uv", "uv_gradient", "chart", "part", "mesh")
-    stated = ("bounds", "part_names", "charts", "area", "volume")
-    return SimpleNamespace(**{name: getattr(shape, name) for name in asked + stated}, intersect=intersect)
 
 
 def crossed(field, bundle, index=INDEX, on_surface=False):

@@ -45,6 +45,49 @@ def test_loops_of_different_length(choice):
     assert (out["end"] == 1).all()
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_body_among_some(share, choice, rng):
+    """Lanes that do not ask keep floats, integers and masks as they are, and the caller's arrays stay."""
+    active = rng.uniform(size=500) < share
+
+    def program(xp, n, on, x):
+        even = (n & 1) == 0
+
+        def body(state):
+            mask, inner, kept = state
+            return ~mask, State(inner.value * 2.0, (inner.count[0] + xp.integer(mask),)), kept
+
+        mask, inner, kept = xp.among(on > 0, body, (even, State(x, (n,)), x))
+        counts = {"mask": xp.integer(mask), "count": inner.count[0], "before": xp.integer(even)}
+        return counts | {"value": inner.value, "kept": kept, "x": x}
+
+    n, x = np.arange(500), rng.normal(size=500).astype(np.float32).astype(float)
+    out = choice.engine.run(program, [n, active, x])
+    even = n % 2 == 0
+    assert np.array_equal(out["mask"], even ^ active)
+    assert np.array_equal(out["value"], np.where(active, 2 * x, x))
+    assert np.array_equal(out["count"], n + (active & even))
+    assert np.array_equal(out["before"], even) and np.array_equal(out["x"], x) and np.array_equal(out["kept"], x)
+
+
+def test_a_body_among_some_is_given_no_others(rng):
+    """NumPy does the work of the lanes that ask, and none where there are none."""
+    widths = []
+
+    def program(xp, x):
+        def body(state):
+            widths.append(len(state[0]))
+            return state
+
+        for limit in (0.5, 2.0):
+            xp.among(x > limit, body, (x,))
+        return {"x": x}
+
+    x = rng.uniform(size=100)
+    choose("numpy").engine.run(program, [x])
+    assert widths == [np.count_nonzero(x > 0.5)]
+
+
 def test_no_rays(choice):
     out = choice.engine.run(collatz, [np.zeros(0, np.int32)])
     assert out["steps"].shape == (0,)
@@ -79,6 +122,49 @@ def test_more_rays_than_a_tile(choice):
     n = 100_000
     out = choice.engine.run(lambda xp, i: {"i": i + 1}, [np.arange(n)])
     assert np.array_equal(out["i"], np.arange(1, n + 1))
+
+
+def test_tables_of_rows(choice):
+    """Rows of one, of as many as are stored at once, and of others; floats and integers; more lanes than a tile."""
+    xp, count = choice.engine, 40_000
+
+    def rows(lane):
+        x = xp.real(lane)
+        return (lane * 2,), (x, x + 1, x + 2, x + 3), (lane, lane + 1, lane + 2), (x > 7,)
+
+    single, four, three, mask = (np.array(table) for table in xp.tabulated(count, rows))
+    n = np.arange(count)
+    assert np.array_equal(single, 2 * n) and np.array_equal(mask, n > 7)
+    assert np.array_equal(four.reshape(-1, 4), n[:, None] + np.arange(4))
+    assert np.array_equal(three.reshape(-1, 3), n[:, None] + np.arange(3))
+    assert four.dtype == (np.float64 if xp.precision == 64 else np.float32) and three.dtype == np.int32
+
+
+def test_parts_of_arrays(choice, rng):
+    xp = choice.engine
+    values = rng.normal(size=50).astype(np.float32)
+    whole, place = xp.table(values), rng.permutation(50)[:20]
+    replaced = np.array(xp.replaced(whole, xp.table(place), xp.table(values[:20] + 1)))
+    expected = values.copy()
+    expected[place] = values[:20] + 1
+    assert np.array_equal(replaced, expected) and np.array_equal(np.array(whole), values)
+    assert xp.extremes(whole) == (values.min(), values.max())
+    for parts in ([values], [values, values[:3], values[7:]]):
+        assert np.array_equal(np.array(xp.joined([xp.table(part) for part in parts])), np.concatenate(parts))
+    several = [xp.table(rng.normal(size=50).astype(np.float32)) for _ in range(5)]
+    stacked = np.stack([np.array(array) for array in several])
+    assert np.array_equal(np.array(xp.least(several)), stacked.min(axis=0))
+    assert np.array_equal(np.array(xp.most(several)), stacked.max(axis=0))
+
+
+def test_inactive_lanes_may_ask_for_anything(choice):
+    """What they get is not used; the look-up must not fail."""
+    xp = choice.engine
+    table, index = xp.table(np.arange(4.0)), xp.table(np.array([-7, 2, 99]))
+    active = (index >= 0) & (index < 4)
+    assert np.array(xp.where(active, xp.gather(table, index, active), -1.0)).tolist() == [-1, 2, -1]
+    row = xp.rows(table, index - 2, active)
+    assert np.array(row[3])[1] == 3
 
 
 def test_trees_come_back():

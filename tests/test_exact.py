@@ -57,15 +57,11 @@ def test_the_whole_way_agrees(pair):
 
 
 def test_a_start_on_the_surface_is_left(pair):
-    """From the outer rim inward, through the tube: it is met again at its inner side, 2 * 0.3 away, by the grid.
-
-    An exact shape is asked for entries only: it is met where a ray comes in again, on the far side of the hole.
-    """
+    """From the outer rim inward, through the tube: both are met again at its inner side, 2 * 0.3 away."""
     p, d = np.array([[1.0, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]])
-    grid = trace(pair[1], p, d, on_surface=True)
-    assert grid.t[0] == pytest.approx(0.6, abs=1e-3)
-    exact = trace(pair[0], p, -d, on_surface=True)
-    assert not exact.hit.any() and not trace(pair[1], p, -d, on_surface=True).hit.any()
+    grid, exact = (trace(field, p, d, on_surface=True) for field in reversed(pair))
+    assert grid.t[0] == pytest.approx(0.6, abs=1e-3) and exact.t[0] == pytest.approx(0.6, abs=1e-12)
+    assert not any(trace(field, p, -d, on_surface=True).hit.any() for field in pair)
 
 
 def test_misses_are_misses(pair):

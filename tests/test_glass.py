@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from beams import INDEX, crossed, glassy, perturbed
+from beams import INDEX, crossed, perturbed
 
 from datasets_synthetic.sphere import Sphere
 from datasets_synthetic.union import Union
@@ -45,7 +45,7 @@ def test_a_lens_has_a_focus(front, seen):
     """A ball of index 3/2 focuses r / 2 behind it, at -1.2: a wall behind that is reached through a CAUSTIC, not one
     before it; neither is the way in, through the glass, nor back from the wall, a mirror that spreads."""
     wall = Sphere(0.3, (0.0, 0.0, front - 0.3), ("wall",))
-    field = ShapeField(glassy(Union((Sphere(0.8), wall), ("lens", "wall"))))
+    field = ShapeField(Union((Sphere(0.8), wall), ("lens", "wall")))
     p, d, zero = np.array([[0.05, 0.02, 2.0]]), np.array([[0.0, 0.0, -1.0]]), np.zeros((1, 3))
     hits, _, inner, _ = crossed(field, Rays(p, d, np.array([[1e-3, 0, 0]]), np.array([[0, 1e-3, 0]]), zero, zero))
     again, _, out, _ = crossed(field, inner, on_surface=True)
@@ -89,7 +89,7 @@ def test_two_balls_are_one_surface(centre, heights):
     """A ray 0.1 beside the axis of two balls of radius 0.5: it meets what bounds the union, z = +-c +- sqrt(0.24),
     entering and leaving in turn; between overlapping balls there is nothing. An eta of 1 changes no direction."""
     balls = tuple(Sphere(0.5, (0.0, 0.0, z)) for z in (centre, -centre))
-    field = ShapeField(glassy(Union(balls, ("one", "other"))))
+    field = ShapeField(Union(balls, ("one", "other")))
     zero = np.zeros((1, 3))
     bundle, met = Rays(np.array([[0.1, 0.0, 2.0]]), np.array([[0.0, 0.0, -1.0]]), zero, zero, zero, zero), []
     for number in range(len(heights)):

@@ -12,8 +12,9 @@ from sdfbake import Grid
 from sdfbake.complaint import BadInput
 from sdfbake.layers import FULL
 from sdfrender.plan import make_plan
-from sdfrender.render import prepare, shoot
+from sdfrender.render import shoot
 from sdfrender.scene import load_scene
+from sdfrender.stage import prepare
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,7 @@ TABLE = {
     "lod": (sphere_scene, {"outputs": ("lod",)}, (1,), True, True, {"distance", "uv", "chart"}),
     "part": (sphere_scene, {"outputs": ("part",)}, (None,), False, False, {"distance", "part"}),
     "mirror": (mirror_scene, {}, (2, 1), True, True, {"distance", "uv", "chart", "part"}),
-    "mirror, 3 bounces": (mirror_scene, {"bounces": 3}, (2, 2, 2, 1), True, True, {"distance", "uv", "chart", "part"}),
+    "mirror, 3 bounces": (mirror_scene, {"bounces": 3}, (2, 2, 2, 2), True, True, {"distance", "uv", "chart", "part"}),
     "mirror, no bounce": (mirror_scene, {"bounces": 0}, (1,), True, True, {"distance", "uv", "chart", "part"}),
     "mirror, bilinear": (
         mirror_scene,
@@ -60,7 +61,8 @@ TABLE = {
 def test_needs(folder, case):
     make, options, orders, differentials, uv, channels = case
     plan = make_plan(load_scene(make(folder, **options)))
-    assert (plan.orders, plan.differentials, plan.uv, set(plan.channels)) == (orders, differentials, uv, channels)
+    assert (plan.orders, plan.differentials, plan.uv) == (orders, differentials, uv)
+    assert set(plan.assets[0].channels) == channels
     left_out = {omission.what for omission in plan.left_out}
     assert ("ray differentials" in left_out) is not differentials
     assert ("texture coordinates" in left_out) is not uv
@@ -83,7 +85,9 @@ def test_the_planned_result_is_the_full_one(folder, case):
     """Everything forced on, bit for bit: Hessians, differentials, parts, and texture coordinates where there are."""
     make, options, *_ = case
     stage = prepare(make(folder, **options), engine="numpy")
-    full = replace(stage.plan, orders=(2,) * len(stage.plan.orders), differentials=True, parts=True)
+    full = replace(
+        stage.plan, orders=(2,) * len(stage.plan.orders), differentials=True, footprints=True, parts=True
+    )
     if stage.field.grid.uv is not None:
         full = replace(full, uv=True)
     planned, everything = shoot(stage), shoot(replace(stage, plan=full))
@@ -134,7 +138,8 @@ def test_only_the_texture_coordinates_that_are_used_are_read(charted, wish):
     mode, channels = MODES[wish]
     stage = prepare(charted(wish, filtering="bilinear"), engine="numpy")
     plan, grid = stage.plan, stage.field.grid
-    assert (plan.uv_mode, set(plan.channels), stage.field.uv_mode) == (mode, channels, mode)
+    (asset,) = plan.assets
+    assert (asset.uv_mode, set(asset.channels), stage.field.uv_mode) == (mode, channels, mode)
     # Faces and layers ask for the normal where the path ends; interpolation does not.
     assert plan.orders == ((None,) if mode == "grid" else (1,)) and not plan.differentials
     held = {"faces": grid.face, "layers": grid.layers, "grid": grid.uv}
@@ -172,4 +177,4 @@ def test_texture_coordinates_that_are_not_there(charted, folder):
         make_plan(load_scene(path))
     path.write_text(path.read_text().replace("sphere.zarr.zip", "none.zarr.zip"))
     plan = make_plan(load_scene(path))
-    assert plan.uv_mode == "layers" and not any("texture" in omission.what for omission in plan.left_out)
+    assert plan.assets[0].uv_mode == "layers" and not any("texture" in omission.what for omission in plan.left_out)

@@ -5,7 +5,7 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
-from beams import INDEX, crossed, forms, glassy, perturbed, symplectic_defect
+from beams import INDEX, crossed, forms, perturbed, symplectic_defect
 
 from datasets_synthetic import shape
 from datasets_synthetic.sphere import Sphere
@@ -42,7 +42,7 @@ def torus(request):
     """The torus, exact and as grids: the identities hold for the interpolant as for the shape."""
     exact = shape("torus")
     if request.param == "exact":
-        return ShapeField(glassy(exact))
+        return ShapeField(exact)
     return GridField(Grid.from_function(exact, 48, uv_mode="none"), request.param, "numpy")
 
 
@@ -139,13 +139,13 @@ def lens_error(field, index, b, radius=0.8):
 def test_a_ball_lens_by_its_closed_form(index):
     """To 1e-11, the roundings of a few differences of asin; nearly air, those are over the turn of 1e-6."""
     b = np.linspace(0.02, 0.55, 12)
-    assert lens_error(ShapeField(glassy(Sphere(0.8))), index, b) < (1e-11 if abs(index - 1) > 1e-3 else 1e-8)
+    assert lens_error(ShapeField(Sphere(0.8)), index, b) < (1e-11 if abs(index - 1) > 1e-3 else 1e-8)
 
 
 @pytest.mark.parametrize("fault", ["dd / eta", "dn not turned", "no dmu"])
 def test_faults_show_on_the_lens(fault, monkeypatch):
     monkeypatch.setattr(optics, "refract", faulty(fault))
-    field, b = ShapeField(glassy(Sphere(0.8))), np.linspace(0.02, 0.55, 12)
+    field, b = ShapeField(Sphere(0.8)), np.linspace(0.02, 0.55, 12)
     assert lens_error(field, INDEX, b) > 1e-2
 
 
@@ -180,7 +180,7 @@ def test_a_ball_lens_converges_with_the_grid():
 
 def test_refraction_is_that_of_displaced_rays(rng):
     """Into the torus and out of it (or along): the truth states its own error, 3 of which it has."""
-    field = ShapeField(glassy(shape("torus")))
+    field = ShapeField(shape("torus"))
     p, d = torus_rays(rng)
     start = perturbed(p, d, rng)[0]
     start = Rays(p, d, *(1e-2 * move for move in (start.dp_dx, start.dp_dy, start.dd_dx, start.dd_dy)))

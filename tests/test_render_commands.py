@@ -45,7 +45,7 @@ def test_render_as_a_process(folder, tmp_path):
     assert (
         record["engine"] == "numpy" and record["precision"] == 64 and record["plan"]["outputs"] == ["rgb", "Z", "lod"]
     )
-    assert record["uv_mode"] == record["plan"]["uv_mode"] == "grid"
+    assert record["uv_mode"] == record["plan"]["assets"][0]["uv_mode"] == "grid"
     assert done.stderr == ""
     arrays = read_exr(exr)
     assert set(arrays) == {"rgb", "Z", "lod"} and arrays["rgb"].shape == (12, 20, 3)
@@ -74,7 +74,7 @@ def test_precision_and_kernel_reach_the_picture(call, folder, tmp_path):
 def test_plan(call, folder):
     code, out, err = call("plan", sphere_scene(folder), "--json")
     plan = json.loads(out)
-    assert code == 0 and err == "" and plan["differentials"] is False and plan["channels"] == ["distance"]
+    assert code == 0 and err == "" and plan["differentials"] is False and plan["assets"][0]["channels"] == ["distance"]
     assert "Hessians" in [omission["what"] for omission in plan["left_out"]]
     code, out, err = call("plan", mirror_scene(folder))
     assert code == 0 and err == "" and "Hessian" in out

@@ -6,7 +6,7 @@ from pathlib import Path
 import click.testing
 import numpy as np
 import pytest
-from contest import baking_runs
+from contest import baking_runs, misses_runs, rendering_runs
 
 from sdfbake.complaint import BadInput
 from validate.__main__ import cli
@@ -124,6 +124,8 @@ def lines(tmp_path_factory: pytest.TempPathFactory) -> Path:
         *engine_runs(),
         *opinion_runs(),
         *baking_runs(),
+        *rendering_runs(),
+        *misses_runs(),
         failed,
     ]
     write_runs(folder / "all.jsonl", runs)

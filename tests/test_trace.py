@@ -10,7 +10,7 @@ from sdfrender import Camera, GridField, trace
 from sdfrender.kernels import NAMES
 
 
-def dense_values(values: np.ndarray, name: str, points: np.ndarray) -> np.ndarray:
+def interpolant(values: np.ndarray, name: str):
     """The interpolant by an independent route: all samples, padded linearly, SciPy-free separable sums."""
     from sdfrender.kernels import kernel
 
@@ -25,13 +25,22 @@ def dense_values(values: np.ndarray, name: str, points: np.ndarray) -> np.ndarra
             low, middle, high = (padded.take(range(o, padded.shape[axis] - 2 + o), axis) for o in range(3))
             inner = k.prefilter[0] * low + k.prefilter[1] * middle + k.prefilter[2] * high
             padded = np.concatenate([inner.take([0], axis), inner, inner.take([-1], axis)], axis=axis)
-    cell = np.clip(np.floor(points).astype(int), 0, np.array(values.shape) - 2)
-    u = points - cell
-    weights = [(u[:, a, None] ** np.arange(k.degree + 1)) @ k.weights.T for a in range(3)]
     taps = np.arange(k.taps) + k.first + 3
-    x, y, z = (cell[:, a, None] + taps for a in range(3))
-    cube = padded[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
-    return np.einsum("nijk,ni,nj,nk->n", cube, *weights)
+
+    def at(points: np.ndarray) -> np.ndarray:
+        cell = np.clip(np.floor(points).astype(int), 0, np.array(values.shape) - 2)
+        weights = (points - cell)[..., None] ** np.arange(k.degree + 1) @ k.weights.T
+        x, y, z = (cell[:, a, None] + taps for a in range(3))
+        sums = padded[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
+        for axis in (2, 1, 0):
+            sums = (sums * weights[:, axis].reshape(-1, *[1] * axis, k.taps)).sum(axis=-1)
+        return sums
+
+    return at
+
+
+def dense_values(values: np.ndarray, name: str, points: np.ndarray) -> np.ndarray:
+    return interpolant(values, name)(points)
 
 
 def brute_force(values, name, origins, d, steps=800):
@@ -43,7 +52,8 @@ def brute_force(values, name, origins, d, steps=800):
     far = np.nanmin(np.maximum(a, b), axis=1)
     inside = near < far
     near, far = np.where(inside, near, 0), np.where(inside, far, 0)
-    at = lambda t: dense_values(values, name, np.clip(origins + t[:, None] * d, 0, top))  # noqa: E731
+    value_at = interpolant(values, name)
+    at = lambda t: value_at(np.clip(origins + t[:, None] * d, 0, top))  # noqa: E731
     previous, hit, low, high = at(near), np.zeros(len(d), bool), near.copy(), near.copy()
     for step in range(1, steps + 1):
         t = near + (far - near) * step / steps
@@ -53,7 +63,7 @@ def brute_force(values, name, origins, d, steps=800):
         hit |= change
         previous = value
     before = at(low)
-    for _ in range(60):
+    for _ in range(45):
         middle = (low + high) / 2
         same = at(middle) * before > 0
         low, high = np.where(same, middle, low), np.where(same, high, middle)

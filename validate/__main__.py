@@ -69,14 +69,14 @@ def report(runs: tuple[Path, ...], output: Path, as_json: bool) -> None:
 @cli.command()
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def peers(as_json: bool) -> None:
-    """Say which other bakers can run here, and how to have the rest."""
-    from validate.peers.catalogue import PEERS, find
+    """Say which other bakers and renderers can run here, and how to have the rest."""
+    from validate.peers.catalogue import OURS, PEERS, RENDERERS, find
 
-    found = [find(peer) for peer in PEERS]
+    found = [find(peer) for peer in (*PEERS, *(peer for peer in RENDERERS if peer.name != OURS))]
     if as_json:
         keys = ("python", "version", "problem")
         record = [{key: getattr(one, key) for key in keys} | {"install": one.peer.install} for one in found]
-        print_json({"peers": dict(zip([peer.name for peer in PEERS], record, strict=True))})
+        print_json({"peers": dict(zip([one.peer.name for one in found], record, strict=True))})
         return
     for one in found:
         print(f"{one.peer.name:10}{one.version or 'not here':12}{one.python or one.peer.install}")

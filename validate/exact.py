@@ -5,14 +5,20 @@ grid's, on NumPy in float64.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from datasets_synthetic import ExactShape
 from sdfbake.engine import Array, Engine
 from sdfbake.engine.numpy import NumpyEngine
 from sdfrender.field import Jet, Mapped, Spot
 from sdfrender.uvmode import EXACT
-from sdfrender.vector import Symmetric, Vector
+from sdfrender.vector import Symmetric, Vector, select
+
+# Of the shape's size:
+CLEAR = 1e-9  # above the rounding of a place on the surface, below whatever is looked at
+SHORTEST = 1e-4  # step on the way out of a solid
+ROUNDING = 1e-15  # of a place within the shape
+POLISH = 64  # steps at most: half an interval of the shape's size as often is nothing
 
 
 class ShapeField:
@@ -42,15 +48,45 @@ class ShapeField:
         return self.shape.part_names
 
     def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
-        """Closed-form first hits; a place that a ray leaves is not met again."""
-        asked = np.flatnonzero(active if start is None else active & start.hit)
+        """First hits: entries in closed form; from inside, or inward from a place, where the ray leaves the solid."""
+        left = np.zeros(len(active), bool) if start is None else start.hit & active
+        if start is not None:
+            p = select(xp, left, start.locator, p)
+        rows = np.flatnonzero(active)
+        o, along = _points(p)[rows], _points(d)[rows]
+        length = np.linalg.norm(along, axis=1)
         t = np.full(len(active), np.inf)
-        if asked.size:
-            t[asked] = self.shape.intersect(_points(p)[asked], _points(d)[asked])
+        if rows.size:
+            t[rows] = self._intersect(o, along / length[:, None], left[rows]) / length
         hit = np.isfinite(t)
         t = np.where(hit, t, 0.0)
         at: Vector = (p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2])
         return Spot(hit, t, at, at)
+
+    def _intersect(
+        self, o: Float[np.ndarray, "n 3"], d: Float[np.ndarray, "n 3"], left: Bool[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """Intersect rays from either side, `d` of unit length; `left`: the origin is a place on the surface."""
+        low, high = self.shape.bounds
+        size = float(np.linalg.norm(high - low))
+        inside = left | ((o > low - CLEAR * size) & (o < high + CLEAR * size)).all(axis=1)
+        rows = np.flatnonzero(inside)
+        value, slope = self.shape.distance(o[rows]), np.sum(self.shape.normal(o[rows]) * d[rows], axis=1)
+        on_surface = left[rows] | (np.abs(value) <= CLEAR * size)
+        inside[rows] = np.where(on_surface, slope < 0, value < 0)
+        t = np.empty(len(o))
+        t[~inside] = self.shape.intersect(o[~inside], d[~inside])
+        t[inside] = leave(self.shape, o[inside], d[inside], size)
+        return t
+
+    def occluded(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None, limit: Array) -> Array:
+        """Say which rays meet anything before `limit`."""
+        spot = self.first_hit(xp, p, d, active, start)
+        return spot.hit & (spot.t < limit)
+
+    def inside(self, xp: Engine, p: Vector, active: Array) -> Array:
+        """Say which positions are inside, by the distance."""
+        return active & (self.shape.distance(_points(p)) < 0)
 
     def locate(self, xp: Engine, p: Vector, active: Array) -> Spot:
         """Every position is a place."""
@@ -67,6 +103,9 @@ class ShapeField:
         entries = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
         return Jet(value, gradient, Symmetric(*(h[:, i, j] for i, j in entries)))
 
+    def prepare_uv(self) -> None:
+        """Nothing to prepare."""
+
     def uv_at(self, xp: Engine, spot: Spot, n: Vector | None) -> Mapped:
         """Texture coordinates and their gradients in the surface."""
         rows, points = self._asked(spot)
@@ -81,9 +120,58 @@ class ShapeField:
         rows, points = self._asked(spot)
         return _spread(self.shape.part(points), rows, spot)
 
+    def beyond_band(self, xp: Engine, spot: Spot) -> Array:
+        """Nowhere: every value is exact."""
+        return xp.full(spot.t, False)
+
     def _asked(self, spot: Spot) -> tuple[np.ndarray, Float[np.ndarray, "m 3"]]:
         rows = np.flatnonzero(spot.hit)
         return rows, _points(spot.locator)[rows]
+
+
+def leave(
+    shape: ExactShape, o: Float[np.ndarray, "n 3"], d: Float[np.ndarray, "n 3"], size: float
+) -> Float[np.ndarray, " n"]:
+    """Find where rays from inside a solid, or from its surface inward, leave it.
+
+    Steps as long as the distance cannot pass through the surface; but along it they come to nothing, so none is
+    shorter than SHORTEST: only what a ray leaves and enters again within that length may be stepped over. Between the
+    last two steps, Newton's method inside bisection.
+
+    Parameters
+    ----------
+    shape
+        The solid.
+    o, d
+        (n, 3) float64 origins and unit directions.
+    size
+        Diagonal of the box around the shape.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n,) float64, in the unit of the shape.
+    """
+    low, high = np.zeros(len(o)), np.full(len(o), CLEAR * size)
+    rows = np.arange(len(o))
+    while rows.size:
+        value = shape.distance(o[rows] + high[rows, None] * d[rows])
+        rows, value = rows[value < 0], value[value < 0]
+        low[rows] = high[rows]
+        high[rows] += np.maximum(-value, SHORTEST * size)
+    t, rows = high.copy(), np.arange(len(o))
+    for _ in range(POLISH):
+        old = t[rows]
+        p = o[rows] + old[:, None] * d[rows]
+        value, slope = shape.distance(p), np.sum(shape.normal(p) * d[rows], axis=1)
+        low[rows], high[rows] = np.where(value < 0, old, low[rows]), np.where(value < 0, high[rows], old)
+        newton = old - value / np.where(slope > 0, slope, np.nan)
+        between = (newton >= low[rows]) & (newton <= high[rows])
+        t[rows] = np.where(between, newton, (low[rows] + high[rows]) / 2)
+        rows = rows[np.minimum(np.abs(t[rows] - old), high[rows] - low[rows]) > ROUNDING * size]
+        if not rows.size:
+            break
+    return t
 
 
 def _points(vector: Vector) -> Float[np.ndarray, "n 3"]:

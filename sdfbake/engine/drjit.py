@@ -5,17 +5,20 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from types import ModuleType
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from sdfbake.engine.protocol import Array, Lists, Measures, Program, State
+from sdfbake.engine import cube
+from sdfbake.engine.protocol import Array, Lists, Measures, Program, State, Weights
 from sdfbake.engine.tree import leaves, rebuild
 
 # Dr.Jit gives a thread 16,384 lanes at a time.
 _ENOUGH = 1 << 16
+_PACKETS = (2, 4, 8)  # entries of a row that are stored at once
 _SHORT = 8  # items: shorter lists are not cut
 
 
@@ -92,6 +95,20 @@ class DrjitEngine:
         found = dr.gather(type(table), table, self.types.UInt(index), active)
         return self.types.Int(found) if isinstance(table, self.types.UInt8) else found
 
+    def stencil(self, table: Array, base: Array, size: int, width: int, active: Array) -> Array:
+        """Look up cubes, as lists of arrays; see `Engine.stencil`."""
+        axis = range(size)
+        places = [(i * width + j) * width + k for i in axis for j in axis for k in axis]
+        return [self.gather(table, base + place, active) for place in places]
+
+    def by_order(self, taps: Array, weights: Weights) -> Sequence[Array]:
+        """Sum over a cube; see `Engine.by_order`."""
+        return cube.by_order(dr.fma, taps, weights)
+
+    def by_degree(self, taps: Array, weights: Weights) -> Sequence[Array]:
+        """Sum over a cube; see `Engine.by_degree`."""
+        return cube.by_degree(dr.fma, taps, weights)
+
     def where(self, mask: Array, yes: Array, no: Array) -> Array:
         """Choose by mask."""
         return dr.select(mask, yes, no)
@@ -124,6 +141,14 @@ class DrjitEngine:
         """Return the greater of two."""
         return dr.maximum(a, b)
 
+    def least(self, arrays: Sequence[Array]) -> Array:
+        """Return the least of several: one instruction each, where `minimum` takes five to let NaN through."""
+        return reduce(lambda a, b: dr.select(a < b, a, b), arrays)
+
+    def most(self, arrays: Sequence[Array]) -> Array:
+        """Return the greatest of several; see `least`."""
+        return reduce(lambda a, b: dr.select(a > b, a, b), arrays)
+
     def integer(self, x: Array) -> Array:
         """Truncate floats to integers, or turn a mask into 0 and 1."""
         if dr.is_mask_v(x):
@@ -155,6 +180,18 @@ class DrjitEngine:
             lambda *flat: tuple(leaves(body(rebuild(state, list(flat)), constants))),
         )
         return rebuild(state, list(result))
+
+    def among(self, active: Array, body: Callable[[State], State], state: State) -> State:
+        """Run the body where any lane of a packet is active; see `Engine.among`."""
+        flat = tuple(leaves(state))
+        found = dr.if_stmt(
+            flat,
+            active,
+            lambda *given: tuple(leaves(body(rebuild(state, list(given))))),
+            lambda *given: given,
+            mode="symbolic",
+        )
+        return rebuild(state, list(found))
 
     def at(self, precision: int) -> "DrjitEngine":
         """Return the engine of another precision; see `Engine.at`."""
@@ -313,6 +350,72 @@ class DrjitEngine:
         dr.scatter(whole, kind(value), self.types.UInt(place), active)
         return whole
 
+    def replaced(self, whole: Array, place: Array, value: Array) -> Array:
+        """Replace entries; Dr.Jit copies what others still hold. See `Engine.replaced`."""
+        copy = type(whole)(whole)
+        dr.scatter(copy, value, self.types.UInt(place))
+        return copy
+
+    def tabulated(self, count: int, rows: Callable[[Array], Sequence[Sequence[Array]]]) -> tuple[Array, ...]:
+        """Fill tables in one program; see `Engine.tabulated`."""
+        lane = dr.arange(self.types.UInt, count)
+        tables = []
+        for row in rows(self.types.Int(lane)):
+            if len(row) == 1:
+                tables.append(row[0])
+                continue
+            table = dr.empty(type(row[0]), count * len(row))
+            if len(row) in _PACKETS:
+                dr.scatter(table, self._packet(row), lane)
+            else:
+                for place, entry in enumerate(row):
+                    dr.scatter(table, entry, lane * len(row) + place)
+            tables.append(table)
+        dr.eval(*tables)
+        return tuple(tables)
+
+    def _packet(self, row: Sequence[Array]) -> Array:
+        """Return a row as one value, which is stored at once."""
+        kinds = {self.types.Int: self.types.ArrayXi, self.types.Float32: self.types.ArrayXf}
+        return kinds.get(type(row[0]), self.types.ArrayXf64)(list(row))
+
+    def joined(self, parts: Sequence[Array]) -> Array:
+        """Return arrays one after the other."""
+        return dr.concat(list(parts)) if len(parts) > 1 else parts[0]
+
+    def extremes(self, values: Array) -> tuple[float, float]:
+        """Return the least and the greatest."""
+        least, most = dr.min(values), dr.max(values)
+        dr.eval(least, most)
+        return float(least[0]), float(most[0])
+
     def settled(self, *arrays: Array) -> None:
         """Run what was only described so far."""
         dr.eval(*arrays)
+
+    def apart(self, active: Array, body: Callable[[State], State], state: State) -> State:
+        """Run the body on the active lanes; see `Engine.apart`.
+
+        Literals and arrays that are one and the same become arrays of their own, or each such state would be another
+        program.
+        """
+        width = dr.width(active)
+        arrays = [self.full(active, 0) + leaf if dr.width(leaf) < width else leaf for leaf in leaves(state)]
+        seen: set[int] = set()
+        for number, leaf in enumerate(arrays):
+            if leaf.index in seen:
+                arrays[number] = dr.select(dr.opaque(self.types.Bool, True), leaf, type(leaf)(0))
+            seen.add(leaf.index)
+        dr.make_opaque(active, *arrays)
+        lanes: Any = dr.compress(active)
+        if dr.width(lanes) == 0:
+            return rebuild(state, arrays)
+        if dr.width(lanes) == 1:  # arrays of one entry count as uniform: another program
+            lanes = dr.full(self.types.UInt, int(lanes[0]), 2)
+            dr.make_opaque(lanes)
+        part = body(rebuild(state, [dr.gather(type(leaf), leaf, lanes) for leaf in arrays]))
+        whole = [type(leaf)(leaf) for leaf in arrays]
+        for leaf, value in zip(whole, leaves(part), strict=True):
+            dr.scatter(leaf, value, lanes)
+        dr.eval(*whole)
+        return rebuild(state, whole)

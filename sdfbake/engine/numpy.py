@@ -8,15 +8,25 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 
+from sdfbake.engine import cube
 from sdfbake.engine.pairs import Pairs, over_tiles
-from sdfbake.engine.protocol import Array, Lists, Measures, Program, State
+from sdfbake.engine.protocol import Array, Lists, Measures, Program, State, Weights
 from sdfbake.engine.tree import leaves, rebuild
 
-TILE = 32768  # rays: 256 kB per float64 array, so that a program's live arrays stay in the caches
+TILE = 65536  # rays: half a megabyte per float64 array; with fewer, threads wait for the interpreter's lock
+WORTH = 0.75  # of a loop's lanes alive: with fewer, those are taken out; sooner, that costs more than it saves
+
+
+def _taken(tree: State, rows: np.ndarray) -> State:
+    """Return the rows of all arrays; the arrays themselves where that is all rows."""
+    flat = leaves(tree)
+    return tree if not flat or len(flat[0]) == rows.size else rebuild(tree, [leaf.take(rows) for leaf in flat])
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +77,24 @@ class NumpyEngine:
 
     def gather(self, table: Array, index: Array, active: Array) -> Array:
         """Look up a table; see `Engine.gather`."""
-        found = table.take(np.where(active, index, 0))
+        # Whatever inactive lanes ask for is clipped; 64-bit indices spare `take` a slower conversion of its own.
+        found = table.take(np.asarray(index, np.intp), mode="clip")
         return found.astype(np.int32) if table.dtype == np.uint8 else found
+
+    def stencil(self, table: Array, base: Array, size: int, width: int, active: Array) -> Array:
+        """Say where cubes are; see `Engine.stencil`."""
+        span = (size - 1) * (width * width + width + 1)
+        steps = np.multiply(table.itemsize, (1, width * width, width, 1))
+        cubes = as_strided(table, (len(table) - span, size, size, size), steps, writeable=False)
+        return cube.Cubes(cubes, np.where(active, base, 0))
+
+    def by_order(self, taps: Array, weights: Weights) -> Sequence[Array]:
+        """Sum over a cube; see `Engine.by_order`."""
+        return cube.in_matrices(taps, weights, degrees=False)
+
+    def by_degree(self, taps: Array, weights: Weights) -> Sequence[Array]:
+        """Sum over a cube; see `Engine.by_degree`."""
+        return cube.in_matrices(taps, weights, degrees=True)
 
     def where(self, mask: Array, yes: Array, no: Array) -> Array:
         """Choose by mask."""
@@ -102,6 +128,14 @@ class NumpyEngine:
         """Return the greater of two."""
         return np.maximum(a, b)
 
+    def least(self, arrays: Sequence[Array]) -> Array:
+        """Return the least of several."""
+        return reduce(np.minimum, arrays)
+
+    def most(self, arrays: Sequence[Array]) -> Array:
+        """Return the greatest of several."""
+        return reduce(np.maximum, arrays)
+
     def integer(self, x: Array) -> Array:
         """Truncate to int32; what does not fit becomes something (rays that are masked out)."""
         return np.asarray(x).astype(np.int32)
@@ -125,21 +159,35 @@ class NumpyEngine:
         """Repeat the body on the rays that still want it; see `Engine.while_loop`."""
         result = [np.array(leaf) for leaf in leaves(state)]
         alive = np.flatnonzero(condition(state))
-        current = rebuild(state, [leaf[alive] for leaf in result])
-        fixed = rebuild(constants, [leaf[alive] for leaf in leaves(constants)])
+        current, fixed, live = _taken(state, alive), _taken(constants, alive), np.full(alive.size, True)
         while alive.size:
             current = body(current, fixed)
-            going = condition(current)
-            if going.all():
+            going = condition(current) & live
+            count = np.count_nonzero(going)
+            if count == alive.size:
                 continue
-            done = np.flatnonzero(~going)
+            done = np.flatnonzero(live & ~going)
             for whole, part in zip(result, leaves(current), strict=True):
                 whole[alive[done]] = part[done]
-            kept = np.flatnonzero(going)
-            alive = alive[kept]
-            current = rebuild(current, [leaf[kept] for leaf in leaves(current)])
-            fixed = rebuild(fixed, [leaf[kept] for leaf in leaves(fixed)])
+            live = going
+            if count < WORTH * alive.size:  # those that are done may run along, but nobody looks at them
+                kept = np.flatnonzero(going)
+                current, fixed, alive, live = _taken(current, kept), _taken(fixed, kept), alive[kept], live[kept]
         return rebuild(state, result)
+
+    def among(self, active: Array, body: Callable[[State], State], state: State) -> State:
+        """Run the body on the active lanes alone; see `Engine.among`."""
+        rows = np.flatnonzero(active)
+        if rows.size in (0, len(active)):
+            return body(state) if rows.size else state
+        whole = leaves(state)
+        part = [leaf.take(rows) for leaf in whole]
+        merged = []
+        for old, given, new in zip(whole, part, leaves(body(rebuild(state, part))), strict=True):
+            merged.append(old if new is given else old.copy())
+            if new is not given:
+                merged[-1][rows] = new
+        return rebuild(state, merged)
 
     def at(self, precision: int) -> "NumpyEngine":
         """Return the engine of another precision; see `Engine.at`."""
@@ -151,7 +199,7 @@ class NumpyEngine:
 
     def rows(self, table: Array, index: Array, active: Array) -> tuple[Array, Array, Array, Array]:
         """Look up rows of four; see `Engine.rows`."""
-        row = table.reshape(-1, 4).take(np.where(active, index, 0) if active is not True else index, axis=0)
+        row = table.reshape(-1, 4).take(np.asarray(index, np.intp), axis=0, mode="clip")
         return row[:, 0], row[:, 1], row[:, 2], row[:, 3]
 
     def kept(self, mask: Array) -> Array:
@@ -200,5 +248,35 @@ class NumpyEngine:
         whole[place[active]] = value[active]
         return whole
 
+    def replaced(self, whole: Array, place: Array, value: Array) -> Array:
+        """Replace entries in a copy; see `Engine.replaced`."""
+        whole = whole.copy()
+        whole[place] = value
+        return whole
+
+    def tabulated(self, count: int, rows: Callable[[Array], Sequence[Sequence[Array]]]) -> tuple[Array, ...]:
+        """Fill tables tile by tile; see `Engine.tabulated`."""
+
+        def tile(start: int) -> list[np.ndarray]:
+            with np.errstate(all="ignore"):  # lanes that are masked out compute whatever they like
+                found = rows(np.arange(start, min(start + TILE, count), dtype=np.int32))
+            return [np.stack(row, axis=-1).reshape(-1) for row in found]
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            tiles = list(pool.map(tile, range(0, count, TILE)))
+        return tuple(np.concatenate(parts) for parts in zip(*tiles, strict=True))
+
+    def joined(self, parts: Sequence[Array]) -> Array:
+        """Return arrays one after the other."""
+        return np.concatenate(parts)
+
+    def extremes(self, values: Array) -> tuple[float, float]:
+        """Return the least and the greatest."""
+        return float(values.min()), float(values.max())
+
     def settled(self, *arrays: Array) -> None:
         """Do nothing: arrays are computed as they are described."""
+
+    def apart(self, active: Array, body: Callable[[State], State], state: State) -> State:
+        """Run the body on the active lanes; see `Engine.apart`."""
+        return self.among(active, body, state)

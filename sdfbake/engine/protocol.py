@@ -13,6 +13,8 @@ import numpy as np
 Array = Any  # a NumPy array or a Dr.Jit array: the two share operators, not a type
 State = TypeVar("State", bound=tuple[Any, ...])
 Program = Callable[..., Mapping[str, Array]]
+# Of each of three axes, per order, per tap.
+Weights = Sequence[Sequence[Sequence[Array]]]
 # Of what a lane knows, and then of one item after another.
 Measures = Callable[..., Callable[[Array], tuple[Array, ...]]]
 
@@ -63,6 +65,21 @@ class Engine(Protocol):
         """Return `table[index]` where active, anything elsewhere; uint8 tables give integers."""
         ...
 
+    def stencil(self, table: Array, base: Array, size: int, width: int, active: Array) -> Array:
+        """Return cubes of size^3 entries for `by_order` and `by_degree`, anything where not active.
+
+        `table` is a sequence of larger cubes, width^3; an entry of one is at base + (i * width + j) * width + k.
+        """
+        ...
+
+    def by_order(self, taps: Array, weights: Weights) -> Sequence[Array]:
+        """Sum the taps of cubes with weights of every order of their axes; see `sdfbake.engine.cube`."""
+        ...
+
+    def by_degree(self, taps: Array, weights: Weights) -> Sequence[Array]:
+        """Sum the taps of cubes with weights of all orders that add up alike; see `sdfbake.engine.cube`."""
+        ...
+
     def where(self, mask: Array, yes: Array, no: Array) -> Array:
         """Choose by mask; at least one of the two is an array."""
         ...
@@ -95,6 +112,14 @@ class Engine(Protocol):
         """Return the greater of two."""
         ...
 
+    def least(self, arrays: Sequence[Array]) -> Array:
+        """Return the least of several arrays, none of which is NaN."""
+        ...
+
+    def most(self, arrays: Sequence[Array]) -> Array:
+        """Return the greatest of several arrays, none of which is NaN."""
+        ...
+
     def integer(self, x: Array) -> Array:
         """Truncate floats to integers, or turn a mask into 0 and 1."""
         ...
@@ -118,6 +143,15 @@ class Engine(Protocol):
 
         State and constants are nested tuples of full-width arrays; `constants` may also hold what is not an array
         through the closure of `body`. A ray whose condition fails keeps its state.
+        """
+        ...
+
+    def among(self, active: Array, body: Callable[[State], State], state: State) -> State:
+        """Return `body(state)` for the lanes where active; the others keep their state.
+
+        The state is nested tuples of full-width arrays, and the body returns the like. It may be called with the active
+        lanes alone, or not at all: what it knows of a lane must come in the state. It may as well be called with all
+        lanes: what it gathers needs a mask.
         """
         ...
 
@@ -164,6 +198,32 @@ class Engine(Protocol):
         """
         ...
 
+    def replaced(self, whole: Array, place: Array, value: Array) -> Array:
+        """Return an array with some entries, all at places of their own, replaced."""
+        ...
+
+    def tabulated(self, count: int, rows: Callable[[Array], Sequence[Sequence[Array]]]) -> tuple[Array, ...]:
+        """Return tables of what `rows(lane)` gives for the lanes 0 to count - 1, computed.
+
+        It gives one row per table; a table has the entries of lane 0's row, then those of lane 1, and so on.
+        """
+        ...
+
+    def joined(self, parts: Sequence[Array]) -> Array:
+        """Return one array with the entries of some, one after the other."""
+        ...
+
+    def extremes(self, values: Array) -> tuple[float, float]:
+        """Return the least and the greatest of some floats."""
+        ...
+
     def settled(self, *arrays: Array) -> None:
         """Compute arrays that were only described so far."""
+        ...
+
+    def apart(self, active: Array, body: Callable[[State], State], state: State) -> State:
+        """Return `body(state)` for the lanes where active, as `among` does, but as a program of its own.
+
+        It is run at once, on those lanes alone; with states of the same form again it is not compiled again.
+        """
         ...

@@ -1,4 +1,5 @@
-"""Other tools that bake, each in a process of its own: `catalogue` lists them, `process` talks to them.
+"""Other tools that bake or render, each in a process of its own: `catalogue` lists them, `process` talks to them.
 
-`worker`, `openvdb` and `trueform` run in whatever Python has the tool: they import NumPy and nothing of ours.
+`worker`, `frames`, `openvdb`, `trueform` and `mitsuba` run in whatever Python has the tool: they import NumPy and
+nothing of ours.
 """

@@ -1,13 +1,15 @@
-"""The tools that are compared, and which of them can run here.
+"""The tools that are compared, bakers (`PEERS`) and renderers (`RENDERERS`), and which of them can run here.
 
 In: nothing; the environment variable PEER_PYTHONS may name more Pythons to look into. Out: `Found`, per tool.
 """
 
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
+from sdfbake.engine import choose
 from validate.peers.process import Process
 
 
@@ -22,7 +24,7 @@ class Peer:
     module
         Of `validate.peers`.
     growth
-        Exponent of its cost in the number of samples per axis, at most: 3 where it fills the whole box.
+        Exponent of a bake's cost in the number of samples per axis, at most: 3 where it fills the whole box.
     about
         What it was asked for.
     install
@@ -63,6 +65,19 @@ PEERS = (
 )
 
 
+MITSUBA = "Mitsuba"
+RENDERERS = (
+    Peer(OURS, "tracer", 2, "certified first hits on sparse bricks", "make setup"),
+    Peer(
+        MITSUBA,
+        "mitsuba",
+        3,
+        "shape `sdfgrid`, trilinear, smooth normals, on the dense cube; variant llvm_ad_rgb, float32",
+        "make mitsuba",
+    ),
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Found:
     """Whether a tool runs here.
@@ -89,9 +104,9 @@ class Found:
         """True where the tool runs."""
         return bool(self.python)
 
-    def start(self) -> Process:
-        """Start it."""
-        return Process(self.python, f"validate.peers.{self.peer.module}")
+    def start(self, environment: Mapping[str, str] | None = None) -> Process:
+        """Start it, with more environment variables where they are given."""
+        return Process(self.python, f"validate.peers.{self.peer.module}", environment)
 
 
 def pythons() -> tuple[str, ...]:
@@ -103,6 +118,7 @@ def pythons() -> tuple[str, ...]:
 @cache
 def find(peer: Peer) -> Found:
     """Start the tool in one Python after another until one has it."""
+    choose()  # it names the LLVM library that Dr.Jit needs, to the processes of other tools as well
     problems = []
     for python in pythons() if peer.name != OURS else (sys.executable,):
         try:

@@ -12,8 +12,8 @@ import numpy as np
 from validate.experiment import Run
 from validate.metrics import fitted_order
 from validate.peers.catalogue import OURS, PEERS
+from validate.peers.limit import Limit
 from validate.peers.oracle import NEAR
-from validate.section import number
 
 LAYERED, NUMPY, VDB = f"{OURS}, faces and layers", f"{OURS}, NumPy", "OpenVDB"
 LABELS = (OURS, LAYERED, NUMPY, *(peer.name for peer in PEERS if peer.name != OURS))
@@ -58,8 +58,8 @@ def label_of(setup: dict[str, str]) -> str:
     return NUMPY if setup["engine"] == "numpy" else OURS
 
 
-def paired(runs: Sequence[Run]) -> Points:
-    """Pair error and timed runs; a failed tool has a point without figures."""
+def paired(runs: Sequence[Run], label_of: Callable[[dict[str, str]], str] = label_of) -> Points:
+    """Pair error and timed runs by their names; a failed tool has a point without figures."""
     found = [run for run in runs if "resolution" in run.knob and "tool" in run.setup]
     sides: dict[tuple[str, str, int], dict[str, Run]] = {}
     for run in found:
@@ -77,35 +77,6 @@ def problems(points: Points) -> list[str]:
 def sizes(points: Points, problem: str, label: str) -> list[int]:
     """Return the samples per axis that a tool has runs of on a mesh, failed ones too."""
     return sorted(n for p, one, n in points if (p, one) == (problem, label))
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """A figure of ours and the most that it may be.
-
-    Attributes
-    ----------
-    what
-        In words.
-    most
-        The limit.
-    unit
-        Of both; "x" is written without a space.
-    measured
-        Finds the figure; None where its runs are missing.
-    headline
-        Whether it is shown at the head of the report.
-    """
-
-    what: str
-    most: float
-    unit: str
-    measured: Callable[[Points], float | None]
-    headline: bool = False
-
-    def shown(self, value: float) -> str:
-        """A figure with the unit."""
-        return f"{number(value)}{'' if self.unit in ('', 'x') else ' '}{self.unit}"
 
 
 def ratio(

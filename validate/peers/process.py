@@ -5,9 +5,11 @@ long raises RuntimeError with one sentence; it never outlives its `with`.
 """
 
 import json
+import os
 import subprocess
 import tempfile
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -19,9 +21,17 @@ _LOADING = 60.0  # seconds for starting Python and importing
 
 
 class Process:
-    """A running tool; starting several and greeting them afterwards overlaps their imports."""
+    """A running tool; starting several and greeting them afterwards overlaps their imports.
 
-    def __init__(self, python: str, module: str) -> None:
+    Parameters
+    ----------
+    python, module
+        The interpreter, and what it runs.
+    environment
+        Variables that are added to those of this process.
+    """
+
+    def __init__(self, python: str, module: str, environment: Mapping[str, str] | None = None) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="peer-")
         self._said = Path(self._folder.name) / "stderr"
         with self._said.open("wb") as errors:
@@ -33,6 +43,7 @@ class Process:
                 text=True,
                 encoding="utf-8",
                 cwd=self._folder.name,
+                env={**os.environ, **(environment or {})},
             )
 
     def __enter__(self) -> "Process":

@@ -1,7 +1,8 @@
 """The loop inside a tool's process: requests on standard input, answers on standard output, a JSON object a line.
 
-In: a `Tool`. Out: nothing; it ends with its input. Only `Tool.bake` is inside the clock: starting Python, importing and
-turning the mesh into the arrays that a tool wants are not.
+In: a `Tool` that bakes, or another session (`validate.peers.frames`). Out: nothing; it ends with its input. Of a baker
+only `Tool.bake` is inside the clock: starting Python, importing and turning the mesh into the arrays that a tool wants
+are not.
 """
 
 import json
@@ -68,15 +69,30 @@ class Tool(NamedTuple):
 
 
 def serve(make: "Callable[[], Tool]") -> None:
-    """Say hello with the version, then answer until the input ends; what a request raises is its answer."""
+    """Answer as a baker."""
+
+    def start() -> "tuple[str, object]":
+        tool = make()
+        return tool.version, _Session(tool)
+
+    answer(start)
+
+
+def answer(start: "Callable[[], tuple[str, object]]") -> None:
+    """Say hello with the version, then call a session's methods until the input ends; what one raises is its answer.
+
+    Parameters
+    ----------
+    start
+        Returns the version and the session; each of its methods takes a request and returns a dictionary.
+    """
     answers = _own_output()
     try:
-        tool = make()
+        version, session = start()
     except Exception as error:  # whatever keeps a tool from loading is news, not a crash
         _say(answers, {"error": _sentence(error)})
         return
-    _say(answers, {"version": tool.version})
-    session = _Session(tool)
+    _say(answers, {"version": version})
     for line in sys.stdin:
         request = json.loads(line)
         try:

@@ -6,6 +6,7 @@ import numpy as np
 
 from validate import plots
 from validate.experiment import Run
+from validate.peers import limit
 from validate.peers.catalogue import OURS, PEERS
 from validate.peers.limits import (
     LABELS,
@@ -13,7 +14,6 @@ from validate.peers.limits import (
     LIMITS,
     NUMPY,
     VDB,
-    Limit,
     Point,
     Points,
     figure,
@@ -25,7 +25,7 @@ from validate.peers.limits import (
 )
 from validate.peers.oracle import NEAR
 from validate.plots import Panel, Series
-from validate.section import Headline, Picture, Section, Table, number, pick
+from validate.section import Picture, Section, Table, number, pick
 
 TITLE = "Bakers against each other"
 ASKED = (
@@ -44,35 +44,17 @@ def section(runs: Sequence[Run]) -> Section:
     points = paired(runs)
     if not any(point.timing and point.error for point in points.values()):
         return Section("baking", TITLE, ASKED, ("No tool has both a timed run and an error run that succeeded.",))
-    limits = [(limit, limit.measured(points)) for limit in LIMITS]
-    met = [(limit, value) for limit, value in limits if value is not None]
+    figures = limit.figures(LIMITS, points)
     return Section(
         name="baking",
         title=TITLE,
         asked=ASKED,
-        finding=(*_against_openvdb(points), *_quicker(points), _met(met)),
-        headlines=tuple(
-            Headline(limit.what, limit.shown(value), f"at most {limit.shown(limit.most)}")
-            for limit, value in met
-            if limit.headline
-        ),
+        finding=(*_against_openvdb(points), *_quicker(points), limit.met(figures)),
+        headlines=limit.headlines(figures),
         pictures=(Picture(plots.work_precision(_panels(points)), "Labels are samples per axis, N."),),
-        tables=(_limits(limits), *(_table(points, problem) for problem in problems(points))),
+        tables=(limit.table(figures), *(_table(points, problem) for problem in problems(points))),
         notes=_notes(runs),
     )
-
-
-def _limits(limits: Sequence[tuple[Limit, float | None]]) -> Table:
-    rows = tuple(
-        (
-            limit.what,
-            "-" if value is None else limit.shown(value),
-            limit.shown(limit.most),
-            "not measured" if value is None else "yes" if value <= limit.most else "no",
-        )
-        for limit, value in limits
-    )
-    return Table("Ours against the limits that were set for it.", ("Figure", "measured", "at most", "met"), rows)
 
 
 # ---- sentences -------------------------------------------------------------------------------------------------------
@@ -109,12 +91,6 @@ def _quicker(points: Points) -> tuple[str, ...]:
             worst = max(figure(points, problem, label, n, "error.max") or 0.0 for problem, n in lost)
             sentences.append(f"{label} is quicker on {where}, with errors of up to {number(worst)} voxel.")
     return tuple(sentences) or ("No tool is quicker than ours anywhere.",)
-
-
-def _met(found: Sequence[tuple[Limit, float]]) -> str:
-    broken = [f"{limit.what} ({limit.shown(value)})" for limit, value in found if value > limit.most]
-    tail = f"; not met: {'; '.join(broken)}." if broken else "."
-    return f"Of {len(found)} limits that could be measured, {len(found) - len(broken)} are met{tail}"
 
 
 # ---- picture and tables ----------------------------------------------------------------------------------------------

@@ -3,4 +3,16 @@
 Each file has `run(bench) -> Iterator[Run]` and is imported only when it is asked for.
 """
 
-SUITES = ("figures", "footprints", "representations", "convergence", "frontier", "engines", "opinion", "baking")
+SUITES = (
+    "figures",
+    "pictures",
+    "footprints",
+    "representations",
+    "convergence",
+    "misses",
+    "frontier",
+    "engines",
+    "opinion",
+    "baking",
+    "rendering",
+)

@@ -1,0 +1,237 @@
+"""A scene made ready: what its plan names, loaded and put on an engine.
+
+In: a scene. Out: a `Stage` that can be traced: the surface, its materials, textures, lights, and the view.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from sdfbake.complaint import BadInput
+from sdfbake.engine import Array, Choice, Engine, choose
+from sdfbake.grid import Grid
+from sdfrender.assembly import Assembly
+from sdfrender.crossing import Bodies
+from sdfrender.environment import Environment
+from sdfrender.field import Field
+from sdfrender.gridfield import GridField
+from sdfrender.instance import Instance
+from sdfrender.irradiance import irradiance
+from sdfrender.kernels import kernel
+from sdfrender.lighting import Lighting
+from sdfrender.materials import CheckerTexture, ConstantTexture, Diffuse, Glass, Material, Texture
+from sdfrender.palette import Palette
+from sdfrender.picture import read_picture
+from sdfrender.plan import IN_TEXELS, AssetPlan, Plan, make_plan
+from sdfrender.pyramid import Texture as Image
+from sdfrender.scene import Asset, Scene, load_scene
+from sdfrender.texture import Checker, Constant, Lookup, Sampler
+from sdfrender.viewing import CameraView, View
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """A scene ready to be traced.
+
+    Attributes
+    ----------
+    scene, plan, view
+        The scene, what of it is computed, where its rays come from.
+    choice
+        The engine, and why.
+    field, members
+        The surface; and those of the scene's assets that it is made of.
+    palette
+        What its parts are made of.
+    samplers
+        Textures by name, those that the plan needs.
+    around, lighting
+        The environment and the lights; None where the plan needs none.
+    bodies
+        Bodies of glass, where there are several; None elsewhere.
+    """
+
+    scene: Scene
+    plan: Plan
+    view: View
+    choice: Choice
+    field: Field
+    members: tuple[Field, ...]
+    palette: Palette
+    samplers: dict[str, Lookup]
+    around: Environment | None
+    lighting: Lighting | None
+    bodies: Bodies | None
+
+    def within(self) -> Int[np.ndarray, " m"]:
+        """Return, as bits, the bodies of glass that rays start in: once for all, or once per ray of the view."""
+        origins = self.view.origins()
+        bits = np.zeros(len(origins), np.int32)
+        glass = [member for member, body in zip(self.members, _bodies(self.scene), strict=True) if body >= 0]
+        for number, member in enumerate(glass):
+            bits |= _inside(member, origins).astype(np.int32) << number
+        return bits
+
+
+def prepare(
+    scene: Scene | str | Path,
+    *,
+    engine: str = "auto",
+    precision: int | None = None,
+    field: Field | Sequence[Field] | None = None,
+    view: View | None = None,
+) -> Stage:
+    """Load what the plan of a scene needs, and nothing else.
+
+    Parameters
+    ----------
+    scene
+        A scene, or its file.
+    engine, precision
+        As for `sdfbake.engine.choose`; not used where a field is given.
+    field
+        Surfaces to take in place of the scene's grids, such as exact shapes, one for each asset.
+    view
+        Where rays come from, in place of the scene's camera.
+
+    Raises
+    ------
+    BadInput
+        If an asset, a part, a channel or a texture that the scene needs is missing.
+    """
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    plan, choice, members = _members(scene, field, engine, precision)
+    xp = choice.engine
+    by_part = [_by_part(asset, member.part_names) for asset, member in zip(scene.assets, members, strict=True)]
+    materials = [material for materials in by_part for material in materials]
+    names = sorted({m.texture for m in materials if isinstance(m, Diffuse) and m.texture is not None})
+    looked_at = set(plan.outputs) & {"rgb", *IN_TEXELS}
+    samplers = {name: _sampler(xp, scene.texture(name)) for name in names} if looked_at else {}
+    around, lighting = _light(xp, scene, plan)
+    return Stage(
+        scene=scene,
+        plan=plan,
+        view=view or CameraView(scene.camera.camera(scene.film.size), scene.film.supersample, scene.film.seed),
+        choice=choice,
+        field=members[0] if len(members) == 1 else Assembly(members),
+        members=tuple(members),
+        palette=Palette.of(xp, materials, list(samplers)),
+        samplers=samplers,
+        around=around,
+        lighting=lighting,
+        bodies=_glass(xp, scene, by_part),
+    )
+
+
+def _members(
+    scene: Scene, given: Field | Sequence[Field] | None, engine: str, precision: int | None
+) -> tuple[Plan, Choice, list[Field]]:
+    if given is not None:
+        fields = list(given) if isinstance(given, Sequence) else [given]
+        if len(scene.assets) != len(fields):
+            raise BadInput(f"the scene has {len(scene.assets)} assets, and {len(fields)} surfaces are given for them")
+        plan = make_plan(scene, tuple((field.uv_mode,) if field.uv_mode else () for field in fields))
+        placed = [_placed(field, asset) for field, asset in zip(fields, scene.assets, strict=True)]
+        return plan, Choice(fields[0].engine, "that of the given surface"), placed
+    plan, choice = make_plan(scene), choose(engine, precision)
+    loaded: dict[AssetPlan, Field] = {}
+    members = []
+    for asset, needs in zip(scene.assets, plan.assets, strict=True):
+        if needs not in loaded:
+            loaded[needs] = _load(scene, needs, choice)
+        members.append(_placed(loaded[needs], asset))
+    return plan, choice, members
+
+
+def _load(scene: Scene, needs: AssetPlan, choice: Choice) -> GridField:
+    grid = Grid.load(needs.grid, channels=set(needs.channels))
+    field = GridField(grid, kernel(scene.trace.kernel, scene.trace.tension), choice, uv_mode=needs.uv_mode)
+    if needs.uv_mode is not None:
+        field.prepare_uv()
+    return field
+
+
+def _placed(field: Field, asset: Asset) -> Field:
+    placed = asset.placed()
+    return field if placed.is_identity else Instance(field, placed)
+
+
+def _by_part(asset: Asset, parts: tuple[str, ...]) -> tuple[Material, ...]:
+    """Return the material of every part of an asset."""
+    given = {material.part: material for material in asset.materials}
+    unknown = set(given) - set(parts) - {"*"}
+    if unknown:
+        raise BadInput(f"{asset.grid} has no part '{min(unknown)}' for a material: its parts are {', '.join(parts)}")
+    for part in parts:
+        if part not in given and "*" not in given:
+            raise BadInput(f"the part '{part}' of {asset.grid} has no material: add one for it, or one for '*'")
+    return tuple(given.get(part, given.get("*", asset.materials[0])) for part in parts)
+
+
+def _sampler(xp: Engine, texture: Texture) -> Lookup:
+    if isinstance(texture, ConstantTexture):
+        return Constant(texture.colour)
+    if isinstance(texture, CheckerTexture):
+        return Checker(texture.colours, texture.squares)
+    return Sampler(xp, Image.load(texture.image), texture.filter, texture.wrap, texture.anisotropy)
+
+
+def _light(xp: Engine, scene: Scene, plan: Plan) -> tuple[Environment | None, Lighting | None]:
+    if "rgb" not in plan.outputs:
+        return None, None
+    around = scene.environment
+    if around is None:
+        return None, Lighting(scene.lights, None, 1.0) if plan.lit else None
+    image = read_picture(around.image)
+    try:
+        seen = Environment(xp, image, around.filter)
+    except BadInput as error:
+        raise BadInput(f"{around.image}: {error}") from None
+    if not plan.lit:
+        return seen, None
+    return seen, Lighting(scene.lights, Environment(xp, irradiance(image), "bilinear"), around.intensity)
+
+
+def _bodies(scene: Scene) -> list[int]:
+    """Number the assets that are of glass, -1 for the others."""
+    numbers, count = [], 0
+    for asset in scene.assets:
+        glass = any(isinstance(material, Glass) for material in asset.materials)
+        numbers.append(count if glass else -1)
+        count += int(glass)
+    return numbers
+
+
+def _glass(xp: Engine, scene: Scene, by_part: Sequence[Sequence[Material]]) -> Bodies | None:
+    """Return the bodies of glass where there are several."""
+    numbers = _bodies(scene)
+    if max(numbers) < 1:
+        return None
+    if max(numbers) >= 31:
+        raise BadInput(f"the scene has {max(numbers) + 1} assets of glass: a path tells 31 apart, use fewer")
+    indices = []
+    for number, asset in zip(numbers, scene.assets, strict=True):
+        found = {material.index for material in asset.materials if isinstance(material, Glass)}
+        if len(found) > 1:
+            said = " and ".join(f"{index:g}" for index in sorted(found))
+            raise BadInput(f"{asset.grid} is of glass of index {said}: among several bodies of glass each needs one")
+        if number >= 0:
+            indices.append(found.pop())
+    of_part = [
+        number if isinstance(material, Glass) else -1
+        for number, materials in zip(numbers, by_part, strict=True)
+        for material in materials
+    ]
+    return Bodies.of(xp, of_part, indices)
+
+
+def _inside(field: Field, points: np.ndarray) -> np.ndarray:
+    """Return which points are inside a field's surface."""
+
+    def program(xp: Engine, *p: Array) -> dict[str, Array]:
+        return {"inside": xp.integer(field.inside(xp, (p[0], p[1], p[2]), xp.full(p[0], True)))}
+
+    return np.asarray(field.engine.run(program, list((points - field.anchor).T))["inside"] > 0)
