@@ -72,6 +72,8 @@ def render(
     chosen = load_scene(scene).with_(size=size, outputs=outputs, kernel=kernel)
     if png is not None and "rgb" not in chosen.film.outputs:
         raise BadInput("--png shows the output rgb, which is not asked for: add rgb to --outputs")
+    if rays is not None and size is not None:
+        raise BadInput("--size is of a camera's picture, and --rays gives rays instead: leave one of them out")
     for path in (output, png):
         if path is not None:
             check_writable(path)
@@ -80,8 +82,8 @@ def render(
     choice = stage.choice
     ready = time.perf_counter()
     with _progress() as progress:
-        task = progress.add_task("tracing", total=stage.view.samples)
-        arrays = shoot(stage, lambda done, _total: progress.update(task, completed=done))
+        task = progress.add_task("tracing")
+        arrays = shoot(stage, lambda done, total: progress.update(task, completed=done, total=total))
     done = time.perf_counter()
     write_exr(output, arrays)
     if png is not None:

@@ -173,7 +173,7 @@ def _compared(xp: Engine, tables: Tables, slab: _Slab) -> _Slab:
     plane = (c, *(xp.where(ray.falls[a], -g[a], g[a]) for a in range(3)))
     delta = xp.gather(tables.deltas, slab.number, slab.occupied)
     first, last = _height(xp, plane, enter), _height(xp, plane, leave)
-    above, below = xp.minimum(first, last) > delta, xp.maximum(first, last) < -delta
+    above, below = (first > delta) & (last > delta), (first < -delta) & (last < -delta)
     clear = (above & (walk.sign >= 0)) | (below & (walk.sign <= 0))
     stay = ~clear | (ray.leaving & (walk.t == 0))
     sign = xp.where(stay, walk.sign, xp.where(above, 1.0, -1.0))

@@ -79,7 +79,7 @@ class ConstantTexture(Strict):
 def _kind(data: Any) -> str:
     """Return what kind of texture a table is; an image where it does not say."""
     kind = data.get("type", "image") if isinstance(data, Mapping) else getattr(data, "type", "image")
-    return kind if isinstance(kind, str) else "image"
+    return str(kind)
 
 
 Texture = Annotated[

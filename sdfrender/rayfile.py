@@ -6,6 +6,7 @@ components, `p.X, p.Y, p.Z, d.X, ...`. Out: `Rays`, and the size of the picture 
 
 import csv
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -57,13 +58,14 @@ def read_rays(path: str | Path, *, differentials: bool) -> GivenView:
 
 
 def _rays(path: Path, columns: dict[str, np.ndarray]) -> Rays:
-    length = np.linalg.norm(columns["d"], axis=1)
+    largest = np.abs(columns["d"]).max(axis=1)  # a square of which may be no number
+    length = largest * np.linalg.norm(columns["d"] / np.where(largest > 0, largest, 1.0)[:, None], axis=1)
     if not (length > 0).all():
         raise BadInput(f"{path} has {int((length == 0).sum())} directions of no length: give every ray a direction")
     derived = any(name in columns for name in COLUMNS[2:])
     if derived and np.abs(length - 1).max() > UNIT:
         raise BadInput(f"{path} has directions that are not of unit length: their derivatives would have no meaning")
-    columns = {**columns, "d": columns["d"] / length[:, None]}
+    columns = {**columns, "d": columns["d"] / largest[:, None] / (length / largest)[:, None]}
     return Rays(*(columns.get(name, np.zeros_like(columns["p"])) for name in COLUMNS))
 
 
@@ -73,20 +75,24 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         return {name: np.asarray(values, np.float64) for name, values in found.items()}
     except FileNotFoundError:
         raise BadInput(f"there are no rays {path}: correct the path") from None
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, UnicodeDecodeError) as error:
+    except (OSError, ValueError, EOFError, csv.Error, zipfile.BadZipFile, zlib.error) as error:
         said = " ".join(str(error).split())
         raise BadInput(f"{path} cannot be read as rays ({said}): {ASK}") from None
 
 
 def _archive(path: Path) -> dict[str, np.ndarray]:
-    with np.load(path, allow_pickle=False) as file:
+    with path.open("rb") as stream:  # which `np.load` forgets to close where it fails
+        file = np.load(stream, allow_pickle=False)
+        if isinstance(file, np.ndarray):
+            raise ValueError("it holds one array")
         return {name: file[name] for name in file.files if name in COLUMNS}
 
 
 def _table(path: Path) -> dict[str, np.ndarray]:
-    with path.open(newline="", encoding="utf-8") as file:
-        header, *rows = csv.reader(file, skipinitialspace=True) or [[]]
-    numbers = np.array([[float(cell) for cell in row] for row in rows if row]).reshape(-1, len(header))
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = [row for row in csv.reader(file, skipinitialspace=True) if row]
+    header, *rows = rows or [[]]
+    numbers = np.array([[float(cell) for cell in row] for row in rows]).reshape(len(rows), len(header))
     columns = dict(zip((name.strip() for name in header), numbers.T, strict=True))
     named = {name: [f"{name}.{axis}" for axis in "XYZ"] for name in COLUMNS}
     return {

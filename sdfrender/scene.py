@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from sdfbake.complaint import BadInput
 from sdfrender import camera
@@ -39,6 +40,7 @@ Output = Literal[
 _TEXTURES, _LIGHTS = ("image", "checker", "constant"), ("point", "directional")
 _KINDS = frozenset(("pinhole", "orthographic", "mirror", "glass", "diffuse", "normals", *_TEXTURES, *_LIGHTS))
 MOST_PIXELS = 2**28  # 268 million samples per pass: 24 bytes each for the colours alone
+LONGEST = 100  # characters of a wrong value that a complaint repeats
 THROUGH_MIRRORS, THROUGH_GLASS = 1, 8  # bounces where a scene does not say: a ball of glass is four
 
 
@@ -73,7 +75,7 @@ class Orthographic(Strict):
 def _projection(data: Any) -> str:
     """Return what kind of camera a table is; a pinhole where it does not say."""
     kind = data.get("type", "pinhole") if isinstance(data, Mapping) else getattr(data, "type", "pinhole")
-    return kind if isinstance(kind, str) else "pinhole"
+    return str(kind)
 
 
 CameraModel = Annotated[
@@ -258,24 +260,35 @@ def _validated(data: object, where: str) -> Scene:
     try:
         return Scene.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = _key(first["loc"])
-        if first["type"] == "extra_forbidden":
-            raise BadInput(
-                f"{where} has a key '{key}' that does not exist: see docs/scenes.md for those that do"
-            ) from None
-        if first["type"] == "missing":
-            raise BadInput(f"{where} lacks the key '{key}': add it, see docs/scenes.md") from None
-        said = first["msg"].removeprefix("Value error, ")
-        given = f", given {first['input']!r}" if not isinstance(first["input"], dict) else ""
-        raise BadInput(f"{where} is wrong at '{key}': {said}{given}; see docs/scenes.md") from None
+        raise BadInput(f"{where} {_said(error.errors()[0])}") from None
+
+
+def _said(mistake: ErrorDetails) -> str:
+    """Return what is wrong, as the end of a sentence about the file."""
+    key, kind, given = _key(mistake["loc"]), mistake["type"], mistake["input"]
+    if kind == "extra_forbidden":
+        return f"has a key '{key}' that does not exist: see docs/scenes.md for those that do"
+    if kind == "union_tag_not_found":
+        return f"lacks the key '{key}.type': add it, see docs/scenes.md"
+    if kind == "union_tag_invalid":
+        tag, tags = mistake["ctx"]["tag"], mistake["ctx"]["expected_tags"]
+        return f"is wrong at '{key}.type': there is no '{tag}', choose one of {tags}; see docs/scenes.md"
+    if kind == "missing":
+        whole, _, last = key.rpartition(".")
+        if last.isdecimal():
+            return f"is wrong at '{whole}': more numbers belong there, given {given!r}; see docs/scenes.md"
+        return f"lacks the key '{key}': add it, see docs/scenes.md"
+    said, shown = mistake["msg"].removeprefix("Value error, "), repr(given)
+    place = f" at '{key}'" if key else ""
+    value = f", given {shown}" if not isinstance(given, dict) and len(shown) <= LONGEST else ""
+    return f"is wrong{place}: {said}{value}; see docs/scenes.md"
 
 
 def _key(steps: tuple[str | int, ...]) -> str:
-    """Return a key as the file has it: what kind a table is of is no key."""
+    """Return a key as the file has it: what kind a table is of is no key. Empty for the file as a whole."""
     before = ("", *steps)
     kept = [step for last, step in zip(before, steps, strict=False) if not (step in _KINDS and _has_kinds(last))]
-    return ".".join(str(step) for step in kept) or "as a whole"
+    return ".".join(str(step) for step in kept)
 
 
 def _has_kinds(step: str | int) -> bool:

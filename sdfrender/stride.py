@@ -148,10 +148,10 @@ def leave_cube(xp: Engine, ray: Ray, t: Array, cell: Cell, end: tuple[Array, ...
     Always advances at least one cell along the axes of the faces and never moves back along another, so that the walk
     ends whatever the rounding; nor does it leave the lattice but through a face.
     """
-    end = tuple(xp.minimum(end[a], ray.end[a]) for a in range(3))
+    end = tuple(xp.least((end[a], ray.end[a])) for a in range(3))
     crossing = [xp.fma(xp.real(end[a]), ray.inverse[a], ray.offset[a]) for a in range(3)]
-    first = xp.minimum(xp.minimum(crossing[0], crossing[1]), crossing[2])
-    after = xp.maximum(first, t)
+    first = xp.least(crossing)
+    after = xp.most((first, t))
     by_x, by_y = crossing[0] <= first, crossing[1] <= first
     # Through some face, even if a direction is not a number.
     exits = (by_x, by_y, (crossing[2] <= first) | ~(by_x | by_y))

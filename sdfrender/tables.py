@@ -122,7 +122,7 @@ def place_in(xp: Engine, p: Vector, cell: Cell) -> Vector:
 
 def clamp(xp: Engine, x: Array, low: Array, high: Array) -> Array:
     """Return the number in [low, high] nearest to x."""
-    return xp.minimum(xp.maximum(x, low), high)
+    return xp.least((xp.most((x, low)), high))
 
 
 def three(parts: Iterable[Array]) -> Vector:

@@ -17,11 +17,13 @@ from sdfbake.engine.tree import leaves, rebuild
 from sdfbake.grid import Grid
 from sdfbake.metadata import tool_version
 from sdfrender import Camera, GridField, optics
+from sdfrender.field import Spot
 from sdfrender.footprint import derivatives
 from sdfrender.rays import Beam
 from sdfrender.sampler import Sampler
 from sdfrender.texture import Texture
 from sdfrender.trace import mirrored, transferred
+from sdfrender.vector import Symmetric, Vector, zero
 from validate.peers.frames import EVERYTHING, MIRROR, PRIMARY, Renderer, View, serve
 
 TEXELS = 512  # along a side of the texture
@@ -46,7 +48,9 @@ def _prepare(grid: Grid, view: View, options: Mapping[str, str]) -> _Prepared:
     camera = Camera(view.eye, (x, y, z - 1), fov=2 * degrees(atan(view.slope)), size=(view.pixels, view.pixels))
     noise = np.random.default_rng(1).uniform(size=(TEXELS, TEXELS, 3)).astype(np.float32)
     sampler = Sampler(choice.engine, Texture.of(noise), "trilinear", "repeat")
-    return _Prepared(GridField(grid, options["kernel"], choice), camera, sampler)
+    field = GridField(grid, options["kernel"], choice)
+    field.prepare_uv()
+    return _Prepared(field, camera, sampler)
 
 
 def _frame(given: _Prepared, job: str) -> dict[str, Array]:
@@ -78,11 +82,18 @@ def _mirror(given: _Prepared, xp: Engine, lane: Array) -> dict[str, Array]:
     """First hits with normal and Hessian, and the hits of the mirrored rays."""
     field, ray = given.field, _beam(given, xp, lane)
     first = field.first_hit(xp, ray.p, ray.d, xp.full(ray.d[0], True))
-    jet = field.jet_at(xp, first, 2)
-    assert jet.hessian is not None
-    n = optics.normal(xp, jet)
-    second = field.first_hit(xp, first.p, optics.reflected(ray.d, n), first.hit, first)
-    curved = {f"h{i}": entry for i, entry in enumerate(jet.hessian)} | {f"n{a}": n[a] for a in range(3)}
+    nothing = zero(xp, first.t)
+
+    def bent(state: tuple[Spot, Vector, Vector, Symmetric]) -> tuple[Spot, Vector, Vector, Symmetric]:
+        spot, d, *_ = state
+        jet = field.jet_at(xp, spot, 2)
+        assert jet.hessian is not None
+        n = optics.normal(xp, jet)
+        return spot, optics.reflected(d, n), n, jet.hessian
+
+    _, d, n, hessian = xp.among(first.hit, bent, (first, ray.d, nothing, Symmetric(*nothing, *nothing)))
+    second = field.first_hit(xp, first.p, d, first.hit, first)
+    curved = {f"h{i}": entry for i, entry in enumerate(hessian)} | {f"n{a}": n[a] for a in range(3)}
     return {"t": first.t, "hit": first.hit, "t2": second.t, "hit2": second.hit, **curved}
 
 
@@ -90,23 +101,33 @@ def _everything(given: _Prepared, xp: Engine, lane: Array) -> dict[str, Array]:
     """The mirror with differentials all the way, and a filtered colour at the last surface that the path met."""
     field, ray = given.field, _beam(given, xp, lane)
     nothing = xp.full(ray.d[0], 0.0)
+
+    def arrive(state: tuple[Spot, Beam, Beam]) -> tuple[Spot, Beam, Beam]:
+        spot, beam, _ = state
+        jet = field.jet_at(xp, spot, 2)
+        arrived = transferred(xp, beam, jet, spot, xp.full(spot.t, 0.0))
+        return spot, arrived, mirrored(xp, arrived, jet, spot.hit)
+
+    def again(state: tuple[Spot, Beam]) -> tuple[Spot, Beam]:
+        spot, beam = state
+        return spot, transferred(xp, beam, field.jet_at(xp, spot, 1), spot, xp.full(spot.t, 0.0))
+
+    def shown(state: tuple[Spot, Beam, tuple[Array, ...]]) -> tuple[Spot, Beam, tuple[Array, ...]]:
+        spot, beam, _ = state
+        mapped = field.uv_at(xp, spot, None)  # `grid`, the mode of exact shapes, asks for no normal
+        footprint = derivatives(mapped, beam)
+        look = given.sampler.look_up(xp, mapped.u, mapped.v, footprint, spot.hit)
+        return spot, beam, (*look.colour, *footprint[0], *footprint[1])
+
     first = field.first_hit(xp, ray.p, ray.d, xp.full(nothing, True))
-    jet = field.jet_at(xp, first, 2)
-    arrived = transferred(xp, ray, jet, first, nothing)
-    sent = mirrored(xp, arrived, jet, first.hit)
+    _, arrived, sent = xp.among(first.hit, arrive, (first, ray, ray))
     second = field.first_hit(xp, first.p, sent.d, first.hit, first)
-    onward = transferred(xp, sent, field.jet_at(xp, second, 1), second, nothing)
-
-    def last(new: Any, old: Any) -> Any:
-        pairs = zip(leaves(new), leaves(old), strict=True)
-        return rebuild(new, [xp.where(second.hit, a, b) for a, b in pairs])
-
-    mapped = field.uv_at(xp, last(second, first), None)  # `grid`, the mode of exact shapes, asks for no normal
-    footprint = derivatives(mapped, last(onward, arrived))
-    look = given.sampler.look_up(xp, mapped.u, mapped.v, footprint, first.hit)
-    seen = {f"c{i}": value for i, value in enumerate(look.colour)}
-    seen |= {f"j{i}": value for i, value in enumerate((*footprint[0], *footprint[1]))}
-    return {"t": first.t, "hit": first.hit, "t2": second.t, "hit2": second.hit, **seen}
+    _, onward = xp.among(second.hit, again, (second, sent))
+    pairs = zip(leaves((second, onward)), leaves((first, arrived)), strict=True)
+    last = rebuild((first, arrived), [xp.where(second.hit, new, old) for new, old in pairs])
+    *_, seen = xp.among(first.hit, shown, (*last, (nothing,) * 7))
+    named = {f"c{i}": value for i, value in enumerate(seen[:3])} | {f"j{i}": value for i, value in enumerate(seen[3:])}
+    return {"t": first.t, "hit": first.hit, "t2": second.t, "hit2": second.hit, **named}
 
 
 JOBS: dict[str, Callable[[_Prepared, Engine, Array], dict[str, Array]]] = {
