@@ -35,10 +35,10 @@ def sky() -> Float32[np.ndarray, "h w 3"]:
     d = np.stack([level * np.sin(longitude), np.sin(latitude) + 0 * longitude, -level * np.cos(longitude)], axis=-1)
     up = d[..., 1:2]
     blue = np.array([0.75, 0.85, 1.0]) + np.clip(up, 0, 1) ** 0.5 * (np.array([0.15, 0.32, 0.75]) - [0.75, 0.85, 1.0])
-    line = (_near(longitude + 0 * latitude, level) | _near(latitude, np.ones_like(level)))[..., None]
+    line = (_near(longitude + 0 * latitude, level + 0 * longitude) | _near(latitude, np.ones((height, 1))))[..., None]
     ground = np.where(line, 0.12, 0.45) * np.array([1.0, 0.95, 0.85])
     radiance = np.where(up > 0, blue, ground)
-    share = np.clip((np.cos(SUN_RADIUS) - d @ SUN) / (np.cos(SUN_RADIUS) - np.cos(1.06 * SUN_RADIUS)) + 1, 0, 1)
+    share = np.clip((np.cos(SUN_RADIUS) - d @ SUN) / (np.cos(SUN_RADIUS) - np.cos(1.06 * SUN_RADIUS)) + 0.5, 0, 1)
     return np.asarray(radiance + (1 - share)[..., None] * SUN_RADIANCE, np.float32)
 
 

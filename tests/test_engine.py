@@ -88,6 +88,56 @@ def test_a_body_among_some_is_given_no_others(rng):
     assert widths == [np.count_nonzero(x > 0.5)]
 
 
+@pytest.mark.parametrize("alive", [0, 1, 2, 137, 500])
+def test_a_program_apart(alive, choice, rng):
+    """What `among` does, also for constants, for arrays that are one and the same, and for a single lane."""
+    active = np.zeros(500, bool)
+    active[rng.permutation(500)[:alive]] = True
+
+    def program(xp, n, on, x):
+        def body(state):
+            one, (two, three), mask, count = state
+            return one + 1.0, (two * 2.0, three - two), ~mask, count + xp.integer(mask)
+
+        state = (xp.full(x, 0.5), (x, x), xp.full(x, True), n)
+        one, (two, three), mask, count = xp.apart(on > 0, body, state)
+        return {"one": one, "two": two, "three": three, "mask": xp.integer(mask), "count": count, "x": x + 0.0}
+
+    n, x = np.arange(500), rng.normal(size=500).astype(np.float32).astype(float)
+    out = choice.engine.run(program, [n, active, x])
+    assert np.array_equal(out["one"], np.where(active, 1.5, 0.5))
+    assert np.array_equal(out["two"], np.where(active, 2 * x, x))
+    assert np.array_equal(out["three"], np.where(active, 0, x))
+    assert np.array_equal(out["mask"], ~active) and np.array_equal(out["count"], n + active)
+    assert np.array_equal(out["x"], x)
+
+
+def test_programs_apart_are_compiled_once(rng):
+    """However many lanes are left, and whatever their arrays were before: literals at first, results later."""
+    dr = pytest.importorskip("drjit")
+    engine = choose("drjit").engine
+    bodies = []
+
+    def program(xp, x):
+        def body(state):
+            bodies.append(xp)
+            value, step, left = state
+            return value * step + 0.25, step, left - 1
+
+        state = (x, xp.full(x, 0.5), xp.integer(x * 4.0))
+        for _ in range(6):
+            state = xp.apart(state[2] > 0, body, state)
+        return {"value": state[0]}
+
+    engine.run(program, [np.ones(7)])  # what surrounds the bodies is compiled by now, and they are, too
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        bodies.clear()
+        engine.run(program, [np.concatenate([rng.uniform(0, 1.4, 999), [1.5]])])
+        compiled = [kernel for kernel in dr.kernel_history() if not kernel.get("cache_hit", True)]
+    assert len(bodies) == 6 and not compiled
+
+
 def test_no_rays(choice):
     out = choice.engine.run(collatz, [np.zeros(0, np.int32)])
     assert out["steps"].shape == (0,)

@@ -1,4 +1,4 @@
-"""What hits say about themselves: CAUSTIC, HORIZON and EDGE, each where it must and nowhere else."""
+"""What hits say about themselves: CAUSTIC, HORIZON, BAND and EDGE, each where it must and nowhere else."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import pytest
 from datasets_synthetic import shape
 from datasets_synthetic.sphere import Sphere
 from sdfbake import Grid
+from sdfbake.complaint import BadInput
 from sdfrender import Camera, Flag, GridField, Rays, optics, reflect, transfer
 from sdfrender.rays import Beam
 
@@ -110,3 +111,41 @@ def test_an_edge_says_so(choice):
         noise, Rays(np.full((1, 3), 4.0) - [[9, 0, 0]], np.array([[1.0, 0, 0]]), *(nothing[:1] for _ in range(4)))
     )
     assert hits.hit.all() and not hits.flags[0] & Flag.EDGE
+
+
+@pytest.mark.parametrize(("band", "kernel"), [(1.2, "linear"), (1.75, "linear"), (3.0, "bspline")])
+def test_beyond_the_band(choice, band, kernel):
+    """A ball of 12 voxels, cut off at a band: BAND where a sample behind the hit's cell is cut off, and only there.
+
+    The linear kernel reads the cell's eight corners: those of a cell with surface are less than sqrt(3) away. Samples
+    that the B-spline's stencil and its prefilter read lie 2 voxels beyond the cell along every axis, the farthest
+    3 sqrt(3) = 5.2 from a surface in it: with a band of 3 every hit sees some.
+    """
+    axis = np.arange(40) - 19.37
+    r = np.sqrt(axis[:, None, None] ** 2 + axis[:, None] ** 2 + axis**2) - 12.0
+    values = np.clip(r, -band, band).astype(np.float32)
+    rays = Camera((19.37, 19.37, 90.0), (19.37, 19.37, 19.37), fov=22.0, size=(32, 32)).rays()
+    hits, _ = transfer(GridField(Grid.from_dense(values, band=band), kernel, choice), rays)
+    unclaimed, _ = transfer(GridField(Grid.from_dense(values), kernel, choice), rays)
+    flagged = (hits.flags[hits.hit] & Flag.BAND) > 0
+    assert hits.hit.sum() > 400 and not (unclaimed.flags & Flag.BAND).any()
+    if kernel == "bspline":
+        assert flagged.all()
+        return
+    low = np.floor(hits.p[hits.hit]).astype(int)
+    corners = [low + step for step in np.ndindex(2, 2, 2)]
+    cut = np.any([np.abs(values[tuple(corner.T)]) >= np.float32(band * (1 - 1e-6)) for corner in corners], axis=0)
+    inner = np.abs(hits.p[hits.hit] - np.rint(hits.p[hits.hit])).min(axis=1) > 1e-3  # either cell counts on a face
+    assert np.array_equal(flagged[inner], cut[inner]) and inner.mean() > 0.9
+    assert 0 < flagged.mean() < 1 if band < 1.73 else not flagged.any()
+
+
+def test_a_band_is_positive():
+    with pytest.raises(BadInput, match="band of 0 voxels"):
+        Grid.from_dense(np.zeros((4, 4, 4)), band=0)
+
+
+def test_our_own_grids_reach_far_enough():
+    grid = Grid.from_function(Sphere(0.8), 24, uv_mode="none")
+    hits, _ = transfer(GridField(grid, engine="numpy"), Camera((0, 0, 3), (0, 0, 0), size=(24, 24)).rays())
+    assert hits.hit.any() and not (hits.flags & Flag.BAND).any()
