@@ -200,8 +200,8 @@ types: $(READY)  ## mypy, strict
 imports: $(READY)  ## which room may import what
 	$(VENV)/bin/lint-imports
 
-pytest: $(READY)  ## the tests alone
-	$(PY) -m pytest
+pytest: $(READY)  ## the tests alone, some files side by side
+	$(PY) -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 bench: $(READY)  ## the timed experiments alone, anew
 	rm -f $(foreach s,$(TIMED),$(call runs,$(s)))

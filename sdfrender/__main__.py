@@ -85,7 +85,9 @@ def render(
         task = progress.add_task("tracing")
         arrays = shoot(stage, lambda done, total: progress.update(task, completed=done, total=total))
     done = time.perf_counter()
-    write_exr(output, arrays)
+    graze = stage.graze()
+    said = f"{choice.engine.name}, {choice.engine.precision} bits"
+    write_exr(output, arrays, {"engine": said, "grazes missed": f"at most {graze:.3g} world units deep"})
     if png is not None:
         write_png(png, arrays["rgb"])
     record = {
@@ -93,6 +95,7 @@ def render(
         "engine": choice.engine.name,
         "precision": choice.engine.precision,
         "engine_reason": choice.reason,
+        "grazes_missed": graze,
         "uv_mode": next((asset.uv_mode for asset in stage.plan.assets if asset.uv_mode), None),
         "seconds": {"prepare": ready - start, "trace": done - ready, "total": time.perf_counter() - start},
         "plan": stage.plan.record(),
@@ -100,8 +103,8 @@ def render(
     if as_json:
         print_json(record)
     else:
-        said = f"{output}: {choice.engine.name}, {choice.engine.precision} bits ({choice.reason}), {done - ready:.2f} s"
-        click.echo(f"{said}; left out: {', '.join(o.what for o in stage.plan.left_out) or 'nothing'}", err=True)
+        took = f"{output}: {said} ({choice.reason}), {done - ready:.2f} s, no graze deeper than {graze:.2g} missed"
+        click.echo(f"{took}; left out: {', '.join(o.what for o in stage.plan.left_out) or 'nothing'}", err=True)
 
 
 @cli.command()

@@ -43,11 +43,22 @@ CHANNELS: dict[str, tuple[tuple[str, ...], str]] = {
 }
 
 
-def write_exr(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write outputs as one multi-channel OpenEXR file: float32, flags and part as float32 integers."""
+def write_exr(path: str | Path, arrays: Mapping[str, np.ndarray], notes: Mapping[str, str] | None = None) -> None:
+    """Write outputs as one multi-channel OpenEXR file: float32, flags and part as float32 integers.
+
+    Parameters
+    ----------
+    path
+        The file.
+    arrays
+        By output name, (h, w, channels).
+    notes
+        What else the header says, by name.
+    """
     import OpenEXR  # a compiled library that only writing needs
 
     channels, header = {}, {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header |= dict(notes or {})
     for name, array in arrays.items():
         names, meaning = CHANNELS[name]
         header[f"meaning of {name}"] = meaning

@@ -7,7 +7,7 @@ followed.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi
+from math import hypot, pi
 
 import numpy as np
 from jaxtyping import Float
@@ -67,7 +67,7 @@ def _lit(xp: Engine, field: Field, light: Light, spot: Spot, n: Vector, here: Ar
 def _arriving(xp: Engine, light: Light, spot: Spot, anchor: Float[np.ndarray, " 3"]) -> tuple[Vector, Array, Array]:
     """Return the unit direction towards a light, the share of its colour that arrives, and how far it is."""
     if isinstance(light, DirectionalLight):
-        toward = -np.asarray(light.direction) / np.linalg.norm(light.direction)
+        toward = -np.asarray(light.direction) / hypot(*light.direction)
         nothing = xp.full(spot.t, 0.0)
         x, y, z = (nothing + xp.uniform(float(c)) for c in toward)
         return (x, y, z), xp.full(spot.t, 1.0), xp.full(spot.t, float("inf"))

@@ -3,10 +3,10 @@
 In: tables of a scene's file. Out: checked records; `sdfrender.lighting` computes with them.
 """
 
+from math import hypot
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field, field_validator
 
 from sdfrender.strict import Colour, Strict, Vector3
@@ -32,7 +32,7 @@ class DirectionalLight(Strict):
     @field_validator("direction")
     @classmethod
     def _has_length(cls, direction: Vector3) -> Vector3:
-        if not np.linalg.norm(direction) > 0:
+        if not hypot(*direction) > 0:
             raise ValueError("a direction needs a length")
         return direction
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
@@ -147,7 +148,7 @@ class Asset(Strict):
     def placed(self) -> Similarity:
         """Return how the grid stands in the world."""
         if self.matrix is not None:
-            return Similarity.of_matrix(self.matrix)
+            return Similarity.of_matrix(np.array(self.matrix))
         if self.scale is None and self.rotate is None and self.translate is None:
             return IDENTITY
         return Similarity.of_parts(

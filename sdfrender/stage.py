@@ -66,6 +66,12 @@ class Stage:
     lighting: Lighting | None
     bodies: Bodies | None
 
+    def graze(self) -> float:
+        """Return how deep a graze may be missed at most, world units: the largest of the grids' rounding bounds."""
+        grids = [(member, asset.placed().scale) for member, asset in zip(self.members, self.scene.assets, strict=True)]
+        inner = [(member.field if isinstance(member, Instance) else member, scale) for member, scale in grids]
+        return max((2 * grid.tolerance * scale for grid, scale in inner if isinstance(grid, GridField)), default=0.0)
+
     def within(self) -> Int[np.ndarray, " m"]:
         """Return, as bits, the bodies of glass that rays start in: once for all, or once per ray of the view."""
         origins = self.view.origins()
@@ -134,6 +140,8 @@ def _members(
         if len(scene.assets) != len(fields):
             raise BadInput(f"the scene has {len(scene.assets)} assets, and {len(fields)} surfaces are given for them")
         plan = make_plan(scene, tuple((field.uv_mode,) if field.uv_mode else () for field in fields))
+        for field in fields if plan.uv else ():  # an assembly asks all that have texture coordinates
+            field.prepare_uv()
         placed = [_placed(field, asset) for field, asset in zip(fields, scene.assets, strict=True)]
         return plan, Choice(fields[0].engine, "that of the given surface"), placed
     plan, choice = make_plan(scene), choose(engine, precision)

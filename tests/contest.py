@@ -1,4 +1,4 @@
-"""Made-up runs of the benchmarks and of the search for misses, for the tests of what is said about them."""
+"""Made-up runs of benchmarks, pictures and the search for misses, for the tests of what is said about them."""
 
 from dataclasses import replace
 from functools import partial
@@ -69,3 +69,9 @@ def misses_runs(**wrong: float) -> list[Run]:
     double = Run("misses", "noise", setup, {"rays": 1000}, "error", base)
     single = replace(double, setup=setup | {"precision": "32"}, values=base | {"within": 4.0, "depth": 0.4} | wrong)
     return [double, single]
+
+
+def picture_runs() -> list[Run]:
+    values = {"mean": 0.003, "p99": 0.02, "noted": 0.01, "flags": 0.04, "pixels": 16000.0}
+    compared = Run("pictures", "glass", {"truth": "exact shapes"}, {}, "error", values)
+    return [compared, Run("pictures", "lights", {"truth": "none"}, {}, "error")]

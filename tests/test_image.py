@@ -18,6 +18,11 @@ NAMES = {
     "duv_dx": ["duv_dx.U", "duv_dx.V"],
     "duv_dy": ["duv_dy.U", "duv_dy.V"],
     "lod": ["lod"],
+    "lod_invariant": ["lod_invariant"],
+    "ellipse": ["ellipse.major", "ellipse.minor", "ellipse.angle"],
+    "nonlinearity": ["nonlinearity"],
+    "curvature": ["curvature.min", "curvature.max"],
+    "chart": ["chart"],
     "flags": ["flags"],
     "part": ["part"],
 }

@@ -6,7 +6,7 @@ from pathlib import Path
 import click.testing
 import numpy as np
 import pytest
-from contest import baking_runs, misses_runs, rendering_runs
+from contest import baking_runs, misses_runs, picture_runs, rendering_runs
 
 from sdfbake.complaint import BadInput
 from validate.__main__ import cli
@@ -126,6 +126,7 @@ def lines(tmp_path_factory: pytest.TempPathFactory) -> Path:
         *baking_runs(),
         *rendering_runs(),
         *misses_runs(),
+        *picture_runs(),
         failed,
     ]
     write_runs(folder / "all.jsonl", runs)
