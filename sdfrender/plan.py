@@ -114,6 +114,7 @@ def make_plan(scene: Scene, stored: Sequence[tuple[str, ...]] | None = None) -> 
     BadInput
         If a grid has no such texture coordinates as the scene needs.
     """
+    scene = scene.plain()
     facts = _facts(scene)
     outputs: set[str] = set(scene.film.outputs)
     parts = "part" in outputs or any(_by_part(asset) for asset in scene.assets) or len(scene.assets) > 1

@@ -1,4 +1,4 @@
-"""Textures without texels: one colour, and a checker whose mean over a footprint is known in closed form.
+"""A texture without texels: a checker, whose mean over a footprint is known in closed form.
 
 In: texture coordinates with their footprint. Out: the colour; nothing is clamped.
 """
@@ -8,27 +8,6 @@ from sdfrender.texels import Look, Pair
 
 Shade = tuple[float, float, float]
 WIDEST = 1e6  # squares: the mean of more differs from grey by less than a millionth
-
-
-class Constant:
-    """One colour.
-
-    Parameters
-    ----------
-    colour
-        Linear light.
-    """
-
-    needs_footprint = False
-    size = (1, 1)
-
-    def __init__(self, colour: Shade) -> None:
-        self.colour = colour
-
-    def look_up(self, xp: Engine, u: Array, v: Array, footprint: tuple[Pair, Pair] | None, active: Array) -> Look:
-        """Return the colour; see `sdfrender.sampler.Sampler.look_up`."""
-        never, nothing = xp.full(u, False), xp.full(u, 0.0)
-        return Look(tuple(nothing + xp.uniform(float(value)) for value in self.colour), never, never, never)
 
 
 class Checker:

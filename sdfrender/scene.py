@@ -17,7 +17,7 @@ from sdfbake.complaint import BadInput
 from sdfrender import camera
 from sdfrender.kernels import NAMES as KERNELS
 from sdfrender.lights import EnvironmentLight, Light
-from sdfrender.materials import Diffuse, Glass, ImageTexture, Material, Texture
+from sdfrender.materials import ConstantTexture, Diffuse, Glass, ImageTexture, Material, Texture
 from sdfrender.similarity import IDENTITY, Similarity
 from sdfrender.strict import Colour, Strict, Vector3
 
@@ -200,6 +200,22 @@ class Scene(Strict):
     def texture(self, name: str) -> Texture:
         """Return a texture by name."""
         return next(texture for texture in self.textures if texture.name == name)
+
+    def plain(self) -> "Scene":
+        """Return the scene with textures of one colour multiplied into the colours that they lie on."""
+        constant = {texture.name: texture.colour for texture in self.textures if isinstance(texture, ConstantTexture)}
+
+        def bare(material: Material) -> Material:
+            if not isinstance(material, Diffuse) or material.texture not in constant:
+                return material
+            red, green, blue = (a * b for a, b in zip(material.colour, constant[material.texture], strict=True))
+            return material.model_copy(update={"colour": (red, green, blue), "texture": None})
+
+        assets = tuple(
+            asset.model_copy(update={"materials": tuple(bare(material) for material in asset.materials)})
+            for asset in self.assets
+        )
+        return self.model_copy(update={"assets": assets}) if constant else self
 
     def with_(self, *, size: tuple[int, int] | None, outputs: tuple[str, ...] | None, kernel: str | None) -> "Scene":
         """Return the scene with what a command line overrides."""

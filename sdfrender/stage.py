@@ -22,13 +22,13 @@ from sdfrender.instance import Instance
 from sdfrender.irradiance import irradiance
 from sdfrender.kernels import kernel
 from sdfrender.lighting import Lighting
-from sdfrender.materials import CheckerTexture, ConstantTexture, Diffuse, Glass, Material, Texture
+from sdfrender.materials import CheckerTexture, Diffuse, Glass, ImageTexture, Material, Texture
 from sdfrender.palette import Palette
 from sdfrender.picture import read_picture
 from sdfrender.plan import IN_TEXELS, AssetPlan, Plan, make_plan
 from sdfrender.pyramid import Texture as Image
 from sdfrender.scene import Asset, Scene, load_scene
-from sdfrender.texture import Checker, Constant, Lookup, Sampler
+from sdfrender.texture import Checker, Lookup, Sampler
 from sdfrender.viewing import CameraView, View
 
 
@@ -108,7 +108,7 @@ def prepare(
     BadInput
         If an asset, a part, a channel or a texture that the scene needs is missing.
     """
-    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    scene = (scene if isinstance(scene, Scene) else load_scene(scene)).plain()
     plan, choice, members = _members(scene, field, engine, precision)
     xp = choice.engine
     by_part = [_by_part(asset, member.part_names) for asset, member in zip(scene.assets, members, strict=True)]
@@ -180,10 +180,9 @@ def _by_part(asset: Asset, parts: tuple[str, ...]) -> tuple[Material, ...]:
 
 
 def _sampler(xp: Engine, texture: Texture) -> Lookup:
-    if isinstance(texture, ConstantTexture):
-        return Constant(texture.colour)
     if isinstance(texture, CheckerTexture):
         return Checker(texture.colours, texture.squares)
+    assert isinstance(texture, ImageTexture)  # those of one colour are in the materials by now
     return Sampler(xp, Image.load(texture.image), texture.filter, texture.wrap, texture.anisotropy)
 
 

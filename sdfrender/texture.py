@@ -5,11 +5,11 @@ The parts: `picture` reads files, `pyramid` builds levels, `texels` puts them on
 """
 
 from sdfrender.picture import linear_to_srgb, srgb_to_linear
-from sdfrender.procedural import Checker, Constant
+from sdfrender.procedural import Checker
 from sdfrender.pyramid import Texture
 from sdfrender.sampler import Sampler
 from sdfrender.texels import Look
 
-Lookup = Sampler | Checker | Constant
+Lookup = Sampler | Checker
 
-__all__ = ["Checker", "Constant", "Look", "Lookup", "Sampler", "Texture", "linear_to_srgb", "srgb_to_linear"]
+__all__ = ["Checker", "Look", "Lookup", "Sampler", "Texture", "linear_to_srgb", "srgb_to_linear"]

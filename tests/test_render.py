@@ -184,3 +184,13 @@ def test_what_is_missing_says_so(folder):
     mirror.write_text(mirror.read_text().replace('{ type = "diffuse", part = "sheet", texture = "page" },', ""))
     with pytest.raises(BadInput, match="part 'sheet'.*no material"):
         render(mirror, engine="numpy")
+
+
+def test_a_texture_of_one_colour_asks_for_no_coordinates(folder):
+    """It is multiplied into the material's colour: on a grid without texture coordinates, too."""
+    path = sphere_scene(folder, '"diffuse", colour = [0.5, 1.0, 2.0], texture = "paint"')
+    text = path.read_text().replace("sphere.zarr.zip", "bare.zarr.zip").replace('name = "page"\nimage = "page.png"', "")
+    paint = '[[textures]]\nname = "paint"\ntype = "constant"\ncolour = [0.25, 0.5, 0.1]\n'
+    path.write_text(text.replace('[[textures]]\n\nfilter = "trilinear"\n', paint))
+    out = render(path, engine="numpy")["rgb"]
+    assert np.allclose(np.unique(out.reshape(-1, 3), axis=0), [[0, 0, 0], [0.125, 0.5, 0.2]], atol=1e-15)

@@ -26,7 +26,9 @@ def test_the_sun_is_as_bright_as_it_is_said_to_be():
     near = (d @ SUN > np.cos(2 * SUN_RADIUS))[..., None]
     sky_itself = np.median(image[near[..., 0] & (image[..., 0] < 2)], axis=0)
     falls = ((image - sky_itself) * angle * near * np.maximum(d @ SUN, 0)[..., None]).sum(axis=(0, 1))
-    assert falls == pytest.approx(np.pi * np.sin(SUN_RADIUS) ** 2 * np.array(SUN_RADIANCE), rel=0.03)  # texels of a tenth of its radius
+    assert falls == pytest.approx(
+        np.pi * np.sin(SUN_RADIUS) ** 2 * np.array(SUN_RADIANCE), rel=0.03
+    )  # texels of a tenth of its radius
 
 
 def test_a_file_of_the_sky(tmp_path):

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sdfrender.texture import Checker, Constant, Sampler, Texture
+from sdfrender.texture import Checker, Sampler, Texture
 
 
 @pytest.fixture
@@ -194,11 +194,3 @@ def test_checkers_by_hand(choice):
     got = check(choice.engine, Checker(BLACK_WHITE, (4, 4)), uv, dx, np.zeros((8, 2)))
     # The last one: from 0.1 to 0.3, a quarter of it in the second square.
     assert got == pytest.approx([0, 1, 0, 0.5, 0, 0.5, 0.5, 0.25], abs=1e-6)
-
-
-def test_one_colour(choice):
-    constant = Constant((0.25, 0.5, 4.0))
-    out = choice.engine.run(
-        lambda xp, u: dict(zip("rgb", constant.look_up(xp, u, u, None, u > 0).colour, strict=True)), [np.ones(3)]
-    )
-    assert np.stack([out[c] for c in "rgb"], axis=-1).tolist() == [[0.25, 0.5, 4.0]] * 3

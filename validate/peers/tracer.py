@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from math import atan, degrees
-from typing import Any
 
 import numpy as np
 
