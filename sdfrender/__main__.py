@@ -122,12 +122,11 @@ def plan(scene: Path, as_json: bool) -> None:
 def _table(made: Plan) -> Table:
     table = Table("what", "", "why", title="plan")
     orders = ["nothing" if order is None else ("value", "gradient", "Hessian")[order] for order in made.orders]
-    table.add_row("jets", ", ".join(orders), "per hit of a path")
+    same = len(orders) > 1 and len(set(orders)) == 1
+    table.add_row("jets", f"{orders[0]}, {len(orders)} times" if same else ", ".join(orders), "per hit of a path")
     for asset in made.assets:
-        name = Path(asset.grid).name
-        table.add_row("channels read", ", ".join(asset.channels), f"of {name}")
-        if asset.uv_mode is not None:
-            table.add_row("texture coordinates", asset.uv_mode, f"how {name} knows them")
+        how = "" if asset.uv_mode is None else f"; texture coordinates as {asset.uv_mode}"
+        table.add_row(Path(asset.grid).name, ", ".join(asset.channels), f"channels read{how}")
     if made.splits:
         table.add_row("glass", f"{2**made.splits} paths", f"both ways at the first {made.splits} surfaces of a path")
     table.add_row("outputs", ", ".join(made.outputs), "asked for")

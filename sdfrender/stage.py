@@ -147,11 +147,18 @@ def _members(
     plan, choice = make_plan(scene), choose(engine, precision)
     loaded: dict[AssetPlan, Field] = {}
     members = []
-    for asset, needs in zip(scene.assets, plan.assets, strict=True):
+    for asset, least in zip(scene.assets, plan.assets, strict=True):
+        # One field serves all places of a grid, if what is read for one of them is enough for the others.
+        needs = max((other for other in plan.assets if _serves(other, least)), key=lambda other: len(other.channels))
         if needs not in loaded:
             loaded[needs] = _load(scene, needs, choice)
         members.append(_placed(loaded[needs], asset))
     return plan, choice, members
+
+
+def _serves(other: AssetPlan, needs: AssetPlan) -> bool:
+    enough = set(needs.channels) <= set(other.channels) and needs.uv_mode in (None, other.uv_mode)
+    return other.grid == needs.grid and enough
 
 
 def _load(scene: Scene, needs: AssetPlan, choice: Choice) -> GridField:

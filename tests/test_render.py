@@ -194,3 +194,14 @@ def test_a_texture_of_one_colour_asks_for_no_coordinates(folder):
     path.write_text(text.replace('[[textures]]\n\nfilter = "trilinear"\n', paint))
     out = render(path, engine="numpy")["rgb"]
     assert np.allclose(np.unique(out.reshape(-1, 3), axis=0), [[0, 0, 0], [0.125, 0.5, 0.2]], atol=1e-15)
+
+
+def test_one_field_serves_all_places_of_a_grid(folder):
+    """A mirror needs the distances alone; the textured ball of the same file has them, too."""
+    path = sphere_scene(folder, PAPER)
+    mirror = '[[assets]]\ngrid = "sphere.zarr.zip"\ntranslate = [0.0, 0.0, -2.0]\nmaterials = [{ type = "mirror" }]\n'
+    path.write_text(path.read_text() + mirror)
+    stage = prepare(path, engine="numpy")
+    textured, moved = stage.members
+    assert moved.field is textured and textured.grid.uv is not None
+    assert stage.plan.assets[1].channels == ("distance",)
