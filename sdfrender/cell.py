@@ -101,11 +101,12 @@ def _scaled_weights(xp: Engine, kernel: Kernel, a: Array, e: Array) -> list[list
 def sign_changes(xp: Engine, polynomial: Polynomial, sign: Array, bound: Array) -> tuple[Array, Array]:
     """Count the sign changes of (sign, coefficients), passing over |b| <= bound; also return the last sign."""
     changes = xp.full(polynomial[0], 0)
+    above, below = sign > 0, sign < 0  # masks: in either precision they cost the same
     for value in polynomial:
         positive, negative = value > bound, value < -bound
-        changes = changes + xp.integer((positive & (sign < 0)) | (negative & (sign > 0)))
-        sign = xp.where(positive, 1.0, xp.where(negative, -1.0, sign))
-    return changes, sign
+        changes = changes + xp.integer((positive & below) | (negative & above))
+        above, below = positive | (above & ~negative), negative | (below & ~positive)
+    return changes, xp.where(above, 1.0, xp.where(below, xp.full(polynomial[0], -1.0), 0.0))
 
 
 class _Split(NamedTuple):
