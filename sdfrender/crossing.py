@@ -102,7 +102,7 @@ def decide(xp: Engine, d: Vector, n: Vector, eta: Array, glass: Array, code: Arr
     total = glass & optics.passage(xp, d, n, eta).total
     reflectance = optics.reflectance(xp, d, n, eta)
     split = glass & ~total & (reflectance > 0) & (splits < most)
-    mirrored = split & (((code >> xp.minimum(splits, 30)) & 1) == 1)
+    mirrored = split & (((code >> splits) & 1) == 1)
     share = xp.where(total, 1.0, xp.where(mirrored, reflectance, 1.0 - reflectance))
     return Way(total | mirrored, total, xp.where(glass, share, 1.0), split)
 

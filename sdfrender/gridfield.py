@@ -4,7 +4,6 @@ In: a `Grid`, a kernel, an engine. Out: a `Field`: certified first hits, jets (G
 coordinates by `facemap`, `layermap` or `gridmap`. Only what is asked for is prepared: none of them unless it is used.
 """
 
-from copy import copy
 from threading import Lock
 
 import numpy as np
@@ -103,19 +102,6 @@ class GridField:
         self._middle = [self.engine.uniform(float(m)) for m in middle]
         self._per_voxel = self.engine.uniform(1.0 / grid.lattice.spacing)
         self._spacing = self.engine.uniform(grid.lattice.spacing)
-
-    def with_uv(self, mode: str) -> "GridField":
-        """Return a field with the same tables that reads other texture coordinates, one of `sdfbake.metadata.MODES`.
-
-        Raises
-        ------
-        BadInput
-            If the grid does not have them.
-        """
-        other = copy(self)
-        other.uv_mode = choose_mode(stored_in(self.grid), mode, "the grid")
-        other._prepared, other._preparing = None, Lock()
-        return other
 
     @property
     def bounds(self) -> Float[np.ndarray, "2 3"]:

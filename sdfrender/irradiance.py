@@ -23,7 +23,7 @@ def irradiance(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "H W 3"]:
     weighted = by_solid_angle(image)
     while weighted.shape[1] > WIDEST:
         weighted = halved(weighted)
-    light = weighted.reshape(-1, 4).astype(np.float64) / len(weighted)
+    light = weighted.reshape(-1, 4).astype(np.float64)
     toward = directions(weighted.shape[1], weighted.shape[0]).reshape(-1, 3)
     normals = directions(*SIZE).reshape(-1, 3)
     sums = np.concatenate(

@@ -3,13 +3,12 @@
 In: tables of a scene's file. Out: checked records; `sdfrender.palette` puts them on an engine.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from sdfrender.strict import Colour, Strict
+from sdfrender.strict import Colour, Strict, kind_or
 
 
 class Mirror(Strict):
@@ -76,17 +75,11 @@ class ConstantTexture(Strict):
     colour: Colour
 
 
-def _kind(data: Any) -> str:
-    """Return what kind of texture a table is; an image where it does not say."""
-    kind = data.get("type", "image") if isinstance(data, Mapping) else getattr(data, "type", "image")
-    return str(kind)
-
-
 Texture = Annotated[
     Annotated[ImageTexture, Tag("image")]
     | Annotated[CheckerTexture, Tag("checker")]
     | Annotated[ConstantTexture, Tag("constant")],
-    Discriminator(_kind),
+    Discriminator(kind_or("image")),
 ]
 
 

@@ -14,7 +14,6 @@ from jaxtyping import Float, Int
 
 from sdfbake.engine import Array, Engine
 from sdfrender.field import Field
-from sdfrender.flags import Flag
 from sdfrender.footprint import nonlinear, nonlinearity
 from sdfrender.image import CHANNELS
 from sdfrender.path import Job, follow
@@ -156,8 +155,8 @@ def _compared(images: Arrays) -> Arrays:
     share = nonlinearity(jacobian, chart >= 0, chart)
     found = {"nonlinearity": share[..., None]}
     if "flags" in images:
-        flags = images["flags"].astype(np.int64) & ~int(Flag.NONLINEAR)
-        found["flags"] = (flags | nonlinear(share)[..., None]).astype(np.float64)
+        flags = images["flags"].astype(np.int64) | nonlinear(share)[..., None]
+        found["flags"] = flags.astype(np.float64)
     return found
 
 

@@ -5,9 +5,9 @@ is one sentence that names the file and the key. docs/scenes.md describes every 
 """
 
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationError, model_validator
@@ -19,7 +19,7 @@ from sdfrender.kernels import NAMES as KERNELS
 from sdfrender.lights import EnvironmentLight, Light
 from sdfrender.materials import ConstantTexture, Diffuse, Glass, ImageTexture, Material, Texture
 from sdfrender.similarity import IDENTITY, Similarity
-from sdfrender.strict import Colour, Strict, Vector3
+from sdfrender.strict import Colour, Strict, Vector3, kind_or
 
 Output = Literal[
     "rgb",
@@ -73,14 +73,8 @@ class Orthographic(Strict):
         return camera.OrthographicCamera(self.position, self.target, self.up, self.height, size)
 
 
-def _projection(data: Any) -> str:
-    """Return what kind of camera a table is; a pinhole where it does not say."""
-    kind = data.get("type", "pinhole") if isinstance(data, Mapping) else getattr(data, "type", "pinhole")
-    return str(kind)
-
-
 CameraModel = Annotated[
-    Annotated[Pinhole, Tag("pinhole")] | Annotated[Orthographic, Tag("orthographic")], Discriminator(_projection)
+    Annotated[Pinhole, Tag("pinhole")] | Annotated[Orthographic, Tag("orthographic")], Discriminator(kind_or("pinhole"))
 ]
 
 

@@ -1,12 +1,16 @@
 """Small scenes on disk for the tests of plans, pictures and commands: grids, a texture, TOML."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from datasets_synthetic import shape
 from sdfbake import Grid
+from sdfbake.commandline import run
+from sdfrender.__main__ import cli
 
 CAMERA = "[camera]\nposition = [0.0, 0.0, 1.9]\ntarget = [0.0, 0.0, 0.0]\nfov = 53.13\n"
 TEXTURE = '[[textures]]\nname = "page"\nimage = "page.png"\nfilter = "{filter}"\n'
@@ -66,3 +70,16 @@ def sphere_scene(
 def _write(path: Path, text: str) -> Path:
     path.write_text(text.replace("'", '"'), encoding="utf-8")
     return path
+
+
+def sdfrender_caller(monkeypatch, capsys):
+    """Return what runs the renderer's command line in this process: exit code, standard output, standard error."""
+
+    def called(*arguments):
+        monkeypatch.setattr(sys, "argv", ["sdfrender", *map(str, arguments)])
+        with pytest.raises(SystemExit) as left:
+            run(cli, "python -m sdfrender")
+        said = capsys.readouterr()
+        return left.value.code, said.out, said.err
+
+    return called

@@ -1,16 +1,13 @@
 """Rays from files: the camera's own give the camera's picture, and files that are wrong cost one line."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
-from scenery import furnish, mirror_scene, sphere_scene
+from scenery import furnish, mirror_scene, sdfrender_caller, sphere_scene
 
-from sdfbake.commandline import run
 from sdfbake.complaint import BadInput
 from sdfrender import render
-from sdfrender.__main__ import cli
 from sdfrender.image import read_exr
 from sdfrender.rayfile import read_rays
 from sdfrender.rays import COLUMNS
@@ -27,15 +24,7 @@ def folder(tmp_path_factory):
 @pytest.fixture
 def call(monkeypatch, capsys):
     """Run the command line in this process: exit code, standard output, standard error."""
-
-    def called(*arguments):
-        monkeypatch.setattr(sys, "argv", ["sdfrender", *map(str, arguments)])
-        with pytest.raises(SystemExit) as left:
-            run(cli, "python -m sdfrender")
-        said = capsys.readouterr()
-        return left.value.code, said.out, said.err
-
-    return called
+    return sdfrender_caller(monkeypatch, capsys)
 
 
 ALL = ("rgb", "Z", "P", "N", "uv", "duv_dx", "duv_dy", "lod", "flags", "part")

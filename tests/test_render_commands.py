@@ -7,10 +7,8 @@ import sys
 import numpy as np
 import pytest
 from PIL import Image
-from scenery import furnish, mirror_scene, sphere_scene
+from scenery import furnish, mirror_scene, sdfrender_caller, sphere_scene
 
-from sdfbake.commandline import run
-from sdfrender.__main__ import cli
 from sdfrender.image import read_exr
 
 PAPER = '"diffuse", texture = "page"'
@@ -24,15 +22,7 @@ def folder(tmp_path_factory):
 @pytest.fixture
 def call(monkeypatch, capsys):
     """Run the command line in this process: exit code, standard output, standard error."""
-
-    def called(*arguments):
-        monkeypatch.setattr(sys, "argv", ["sdfrender", *map(str, arguments)])
-        with pytest.raises(SystemExit) as left:
-            run(cli, "python -m sdfrender")
-        said = capsys.readouterr()
-        return left.value.code, said.out, said.err
-
-    return called
+    return sdfrender_caller(monkeypatch, capsys)
 
 
 def test_render_as_a_process(folder, tmp_path):
