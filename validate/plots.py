@@ -17,6 +17,7 @@ from validate.frontier import pareto
 
 matplotlib.use("Agg")
 
+import matplotlib.collections
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -70,6 +71,17 @@ class Map:
     values: Float[np.ndarray, "h w"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Ellipses:
+    """Footprints on a texture: middles in texture coordinates, [d/dx d/dy] in texels per pixel."""
+
+    title: str
+    texture: UInt8[np.ndarray, "h w 3"]
+    uv: Float[np.ndarray, "n 2"]
+    jacobian: Float[np.ndarray, "n 2 2"]
+    colour: str
+
+
 def work_precision(panels: Sequence[Panel]) -> str:
     """Error on x, cost on y, both logarithmic: raw points faded, the Pareto front bold."""
     with matplotlib.rc_context(STYLE):
@@ -116,6 +128,25 @@ def maps(panels: Sequence[Map], label: str, limits: tuple[float, float], columns
             ax.set_title(panel.title, fontsize=8.5, fontweight="normal")
         shown = matplotlib.cm.ScalarMappable(scale, palette)
         figure.colorbar(shown, ax=grid, label=label, shrink=0.85, pad=0.015, extend="both")
+        return _png(figure)
+
+
+def ellipses(panels: Sequence[Ellipses], magnified: float) -> str:
+    """What the circles of diameter one pixel become on the texture, panels beside each other."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(3.7 * len(panels), 3.9), layout="constrained")
+        for panel, ax in zip(panels, figure.subplots(1, len(panels), squeeze=False)[0], strict=True):
+            faded = 255 - (255 - panel.texture[::2, ::2].astype(np.float64)) * 0.35
+            ax.imshow(faded.astype(np.uint8), extent=(0, 1, 0, 1), interpolation="antialiased")
+            u, s, _ = np.linalg.svd(panel.jacobian.astype(np.float64))
+            size = magnified * s / panel.texture.shape[0]
+            angle = np.degrees(np.arctan2(u[:, 1, 0], u[:, 0, 0]))
+            drawn = matplotlib.collections.EllipseCollection(
+                size[:, 0], size[:, 1], angle, units="xy", offsets=panel.uv, transOffset=ax.transData
+            )
+            drawn.set(facecolor=panel.colour, edgecolor=panel.colour, alpha=0.55, linewidth=0.6)
+            ax.add_collection(drawn)
+            ax.set(xlim=(0, 1), ylim=(0, 1), title=panel.title, xlabel="u", ylabel="v", aspect="equal")
         return _png(figure)
 
 

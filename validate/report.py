@@ -16,6 +16,8 @@ from validate.experiment import Run
 from validate.section import Section
 from validate.suites import SUITES
 
+LONG_TABLE = 16  # rows; longer tables are folded until asked for, and in print open
+
 
 @dataclass(frozen=True, slots=True)
 class Failure:
@@ -70,6 +72,7 @@ def render(runs: Sequence[Run]) -> str:
         absent=[name for name, section in zip(SUITES, sections, strict=True) if section is None],
         headlines=[(section, line) for section in sections if section for line in section.headlines],
         failures=_failures(runs),
+        long=LONG_TABLE,
         counts={"ok": sum(run.ok for run in runs), "all": len(runs)},
         footer=_footer(runs),
     )

@@ -20,11 +20,32 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of text under a header; the first column is left-aligned, the others are numbers."""
+    """Rows of text under a header; the first column is left-aligned, the others are numbers, those in `prose` words."""
 
     caption: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    prose: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Inspector:
+    """A picture whose pixels can be pointed at.
+
+    Attributes
+    ----------
+    name, caption
+        What it is called on the page, and what it shows.
+    legend
+        Names and colours of the routes, in the order of the data.
+    data
+        JSON for templates/inspector.js: picture and texture as data URIs; per route what was seen, base64.
+    """
+
+    name: str
+    caption: str
+    legend: tuple[tuple[str, str], ...]
+    data: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +69,7 @@ class Section:
     pictures: tuple[Picture, ...] = ()
     tables: tuple[Table, ...] = ()
     notes: tuple[str, ...] = ()
+    inspectors: tuple[Inspector, ...] = ()
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -6,6 +6,7 @@ Each file has `run(bench) -> Iterator[Run]` and is imported only when it is aske
 SUITES = (
     "figures",
     "pictures",
+    "inspector",
     "footprints",
     "representations",
     "convergence",
