@@ -7,7 +7,7 @@ interpolation, bounds for what is far.
 
 import hashlib
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from sdfbake import memory, sides
-from sdfbake.band import PROBES, Target, filled
+from sdfbake.band import Target, filled
 from sdfbake.bricks import REACH, SIDE, Bricks, counts, in_lattice
 from sdfbake.candidates import brick_candidates, places
 from sdfbake.closest import Surface
@@ -47,7 +47,7 @@ class _Samples:
     index: Int[np.ndarray, "k 3"]
     distance: Float[np.ndarray, "k 8 8 8"]
     face: Int[np.ndarray, "k 8 8 8"]
-    probe: Float[np.ndarray, "k 4 4 4 2"]
+    probe: Float[np.ndarray, "k 4 4 4 p"]
 
 
 def bake(
@@ -59,6 +59,7 @@ def bake(
     sign: str = "auto",
     open: str | None = None,  # noqa: A002
     smooth: str = "none",
+    without: Collection[str] = (),
     engine: str = "auto",
     progress: Progress | None = None,
     max_memory: float | None = None,
@@ -85,6 +86,8 @@ def bake(
         the faces the thickness T, world units.
     smooth
         "ls3" bakes the smooth surface that the mesh approximates; texture coordinates stay those of the mesh.
+    without
+        Channels that are left out: "part", "error".
     engine
         As for `sdfbake.engine.choose`; the result is the same but for the last unit of distances.
     progress
@@ -113,7 +116,7 @@ def bake(
     --------
     >>> grid = bake(Mesh.load("bunny.obj"), 64)  # doctest: +SKIP
     """
-    options = Options.of(mesh, uv_mode, sign, open, smooth)
+    options = Options.of(mesh, uv_mode, sign, open, smooth, without)
     surface = _checked(mesh)
     report = progress or (lambda stage, share: None)
     lattice = _lattice(mesh, resolution, options, cube)
@@ -124,7 +127,7 @@ def bake(
         source = refined.mesh if refined else mesh
         if refined:
             surface, lattice = Surface.of(source), _lattice(source, resolution, options, cube)
-        budget = memory.Budget.of(max_memory, surface, lattice, options.modes, len(mesh.part_names))
+        budget = memory.Budget.of(max_memory, surface, lattice, options.modes, _parts(mesh, options))
         budget.check_tables()
         normals = Pseudonormals.of(surface) if options.may_orient else None
         inset = options.shell / 2 / lattice.spacing
@@ -134,6 +137,8 @@ def bake(
     oriented = options.may_orient and (diagnosis.certified or sign == "pseudonormal")
     if not oriented:
         target = target._replace(normals=None)
+    if "error" in options.without:
+        target = target._replace(probes=())
     with ThreadPoolExecutor(1) as aside:  # the tree for the other method's signs grows beside the descent
         growing = aside.submit(Winding.of, surface)
         samples = _sampled(xp, target, lattice, budget, report)
@@ -152,7 +157,7 @@ def bake(
         samples.distance,
         channels.get("uv"),
         channels.get("chart"),
-        _by_face(mesh.part, named.face, np.uint8) if len(mesh.part_names) > 1 else None,
+        _by_face(mesh.part, named.face, np.uint8) if _parts(mesh, options) > 1 else None,
         Metadata(
             source="mesh",
             units=mesh.units,
@@ -169,7 +174,7 @@ def bake(
         face=channels.get("face"),
         surface=channels.get("surface"),
         layers=channels.get("layers"),
-        error=brick_errors(xp, bricks, samples.distance, samples.probe, lattice.spacing),
+        error=brick_errors(xp, bricks, samples.distance, samples.probe, lattice.spacing) if target.probes else None,
     )
 
 
@@ -178,6 +183,11 @@ def _checked(mesh: Mesh) -> Surface:
     if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
         diagnose(mesh).require_bakeable()
     return Surface.of(mesh)
+
+
+def _parts(mesh: Mesh, options: Options) -> int:
+    """Return how many parts are told apart."""
+    return 1 if "part" in options.without else len(mesh.part_names)
 
 
 def _lattice(mesh: Mesh, resolution: int, options: Options, cube: bool) -> Lattice:
@@ -204,7 +214,7 @@ def _sampled(xp: Engine, target: Target, lattice: Lattice, budget: memory.Budget
     at_once = budget.bricks_at_once(count)
     distance = np.empty((count, SIDE**3), np.float32)
     face = np.empty((count, SIDE**3), np.int32)
-    probe = np.empty((count, 64, len(PROBES)), np.float32)
+    probe = np.empty((count, 64, len(target.probes)), np.float32)
     kept, end = np.zeros(count, bool), 0
     report("closest faces", 0)
     for part, band in filled(xp, target, found, REACH, lattice.spacing, at_once) if found else ():
@@ -217,7 +227,7 @@ def _sampled(xp: Engine, target: Target, lattice: Lattice, budget: memory.Budget
     shape = (end, SIDE, SIDE, SIDE)
     distance = distance[:end].reshape(shape)
     distance[~in_lattice(index, lattice.shape)] = 0
-    return _Samples(index, distance, face[:end].reshape(shape), probe[:end].reshape(end, 4, 4, 4, -1))
+    return _Samples(index, distance, face[:end].reshape(shape), probe[:end].reshape(end, 4, 4, 4, len(target.probes)))
 
 
 def _signed(

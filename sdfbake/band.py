@@ -58,6 +58,8 @@ class Target(NamedTuple):
         Voxels: distances nearer to each other than this are equal.
     inset
         Voxels that are taken off unsigned distances: the surface is that far from the faces, on both sides.
+    probes
+        Where in cells with surface distances are wanted too: `PROBES`, or nowhere.
     """
 
     coarse: Faces
@@ -69,6 +71,7 @@ class Target(NamedTuple):
     shape: tuple[int, int, int]
     tie: float
     inset: float
+    probes: tuple[float, ...] = PROBES
 
     @staticmethod
     def of(
@@ -113,8 +116,8 @@ class Band(NamedTuple):
         Signed if the target has normals, world units; +-reach where the sample is farther than that. Outside the
         lattice face is -1, and the distance means nothing.
     probe
-        Distances, world units, at the `PROBES` of the cells with surface whose first samples have even indices; NaN
-        elsewhere.
+        Distances, world units, at the target's probes in the cells with surface whose first samples have even indices;
+        NaN elsewhere.
     """
 
     face: Int[np.ndarray, "b 512"]
@@ -163,14 +166,16 @@ def _fill(xp: Engine, target: Target, bricks: Cubes, reach: float, spacing: floa
     leaves, owner = _leaves(xp, target, bricks, reach)
     if leaves is None:
         far = np.full((count, SIDE**3), reach * spacing, np.float32)
-        return Band(np.full(far.shape, -1, np.int32), far, np.full((count, _NODES**3, len(PROBES)), np.nan, np.float32))
+        nothing = np.full((count, _NODES**3, len(target.probes)), np.nan, np.float32)
+        return Band(np.full(far.shape, -1, np.int32), far, nothing)
     face, values, side = _samples(xp, target, (leaves, owner), count, (reach, spacing))
-    probes = [_probed(xp, target, (leaves, owner), count, (at, spacing)) for at in PROBES]
+    probes = [_probed(xp, target, (leaves, owner), count, (at, spacing)) for at in target.probes]
     xp.settled(face, values, *probes, *([] if side is None else [side]))
     found, distance = np.array(face).reshape(count, -1), np.array(values).reshape(count, -1)
     if side is not None:
         distance = _sided(found, distance, np.array(side).astype(np.int8).reshape(count, *[_NODES] * 3))
-    return Band(found, distance, np.stack(probes, axis=-1).reshape(count, -1, len(PROBES)))
+    probed = np.array(probes, np.float32).reshape(len(probes), count, _NODES**3)
+    return Band(found, distance, np.moveaxis(probed, 0, -1))
 
 
 def _leaves(xp: Engine, target: Target, bricks: Cubes, reach: float) -> tuple[Cubes | None, Array]:

@@ -37,11 +37,15 @@ class Bricks:
         cells (samples 0 to 8 along each axis), float32, world units; 0 where the brick is present.
     index
         Brick coordinates of every slot, int32; brick b holds the samples 8 b to 8 b + 7.
+    left_out
+        Bricks that the grid's file has and that were not loaded: absent here, and what is in them is not known (their
+        `far` is 0). None where all were.
     """
 
     slot: Int[np.ndarray, "bx by bz"]
     far: Float[np.ndarray, "bx by bz"]
     index: Int[np.ndarray, "k 3"]
+    left_out: Bool[np.ndarray, "bx by bz"] | None = None
 
     @staticmethod
     def of(present: Bool[np.ndarray, "bx by bz"], far: Float[np.ndarray, "bx by bz"]) -> "Bricks":

@@ -201,11 +201,15 @@ class Grid:
         save(self, path)
 
     @staticmethod
-    def load(path: str | Path, channels: Collection[str] | None = None) -> "Grid":
-        """Read a grid, or only some of its channels; see `sdfbake.gridfile.load`."""
+    def load(
+        path: str | Path,
+        channels: Collection[str] | None = None,
+        bricks: Callable[[Lattice, Bricks], Bool[np.ndarray, " k"]] | None = None,
+    ) -> "Grid":
+        """Read a grid, or only some of its channels and bricks; see `sdfbake.gridfile.load`."""
         from sdfbake.gridfile import load
 
-        return load(path, channels)
+        return load(path, channels, bricks)
 
     def to_dense(
         self, exact: Mesh | bool = False, progress: Callable[[str, float], None] | None = None

@@ -3,7 +3,7 @@
 In: what a user wrote, and the mesh it is for. Out: checked `Options`, or one sentence that says what is wrong.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from sdfbake.complaint import BadInput
 from sdfbake.mesh import Mesh
 from sdfbake.metadata import MODES
+
+OPTIONAL = frozenset({"part", "error"})  # channels that a bake makes unless told otherwise
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +31,8 @@ class Options:
         Whether meshes with boundary edges are taken.
     smooth
         "none" or "ls3".
+    without
+        Channels that are left out, of `OPTIONAL`.
     """
 
     modes: tuple[str, ...]
@@ -36,6 +40,7 @@ class Options:
     shell: float
     open: bool
     smooth: str
+    without: frozenset[str]
 
     @property
     def may_orient(self) -> bool:
@@ -43,18 +48,28 @@ class Options:
         return not self.open and self.sign != "winding"
 
     @staticmethod
-    def of(mesh: Mesh, uv_mode: str | Iterable[str] | None, sign: str, open_: str | None, smooth: str) -> "Options":
+    def of(
+        mesh: Mesh,
+        uv_mode: str | Iterable[str] | None,
+        sign: str,
+        open_: str | None,
+        smooth: str,
+        without: Collection[str] = (),
+    ) -> "Options":
         """Check what a user wrote; see `bake` for the meaning and the errors."""
         if sign not in ("auto", "winding", "pseudonormal"):
             raise BadInput(f"sign method {sign!r} is unknown: use auto, winding or pseudonormal")
         if smooth not in ("none", "ls3"):
             raise BadInput(f"smoothing {smooth!r} is unknown: use none or ls3")
+        kept = sorted(set(without) - OPTIONAL)
+        if kept:
+            raise BadInput(f"a grid is never without {kept[0]!r}: leave out some of {', '.join(sorted(OPTIONAL))}")
         if len(mesh.part_names) > 256:
             raise BadInput(f"the mesh has {len(mesh.part_names)} parts and a grid stores at most 256: merge some")
         thickness = _thickness(open_)
         if open_ is not None and sign == "pseudonormal":
             raise BadInput("pseudonormals need a closed mesh: leave out --sign pseudonormal, or --open")
-        return Options(_modes(mesh, uv_mode), sign, thickness, open_ is not None, smooth)
+        return Options(_modes(mesh, uv_mode), sign, thickness, open_ is not None, smooth, frozenset(without))
 
 
 def _modes(mesh: Mesh, wanted: str | Iterable[str] | None) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -13,11 +14,12 @@ from sdfbake.atomic import check_writable
 from sdfbake.commandline import print_json, run
 from sdfbake.complaint import BadInput
 from sdfrender.image import CHANNELS, write_exr, write_png
-from sdfrender.plan import Plan, make_plan
+from sdfrender.plan import make_plan
+from sdfrender.planned import Capability, Plan
 from sdfrender.rayfile import read_rays
 from sdfrender.render import shoot
 from sdfrender.scene import load_scene
-from sdfrender.stage import prepare
+from sdfrender.stage import Stage, prepare
 
 
 @click.group()
@@ -98,21 +100,40 @@ def render(
         "grazes_missed": graze,
         "uv_mode": next((asset.uv_mode for asset in stage.plan.assets if asset.uv_mode), None),
         "seconds": {"prepare": ready - start, "trace": done - ready, "total": time.perf_counter() - start},
+        "read": [{"grid": grid, **asdict(reading)} for grid, reading in stage.read],
         "plan": stage.plan.record(),
     }
     if as_json:
         print_json(record)
     else:
         took = f"{output}: {said} ({choice.reason}), {done - ready:.2f} s, no graze deeper than {graze:.2g} missed"
-        click.echo(f"{took}; left out: {', '.join(o.what for o in stage.plan.left_out) or 'nothing'}", err=True)
+        left_out = ", ".join(omission.what for omission in stage.plan.left_out) or "nothing"
+        click.echo(f"{took}; left out: {left_out}; {_read(stage)}", err=True)
+
+
+def _read(stage: Stage) -> str:
+    """Say how much of the grids was read."""
+    readings = [reading for _, reading in stage.read]
+    bricks, there = (sum(part) for part in zip(*((r.bricks, r.of_bricks or 0) for r in readings), strict=True))
+    size, whole = (sum(part) / 1e6 for part in zip(*((r.bytes, r.of_bytes) for r in readings), strict=True))
+    closed = sum(reading.of_bricks is None for reading in readings)
+    unseen = f", {closed} of {len(readings)} grids out of sight" if closed else ""
+    return f"read {bricks} of {there} bricks, {size:.1f} of {whole:.1f} MB{unseen}"
 
 
 @cli.command()
 @click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--needs", type=click.Path(path_type=Path), help="Write what bakes of its grids must have, JSON.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def plan(scene: Path, as_json: bool) -> None:
+def plan(scene: Path, needs: Path | None, as_json: bool) -> None:
     """Say what SCENE needs, and what is left out and why."""
-    made = make_plan(load_scene(scene))
+    loaded = load_scene(scene)
+    if needs is not None:  # before the grids are asked: they may lack what the file says
+        from sdfrender.needs import needs_of
+
+        check_writable(needs)
+        needs_of(loaded).save(needs)
+    made = make_plan(loaded, unbaked=needs is not None)
     if as_json:
         print_json(made.record())
     else:
@@ -120,19 +141,26 @@ def plan(scene: Path, as_json: bool) -> None:
 
 
 def _table(made: Plan) -> Table:
-    table = Table("what", "", "why", title="plan")
+    table = Table("what", "", "why", "bytes unread", "time saved", title="plan")
     orders = ["nothing" if order is None else ("value", "gradient", "Hessian")[order] for order in made.orders]
     same = len(orders) > 1 and len(set(orders)) == 1
     table.add_row("jets", f"{orders[0]}, {len(orders)} times" if same else ", ".join(orders), "per hit of a path")
     for asset in made.assets:
         how = "" if asset.uv_mode is None else f"; texture coordinates as {asset.uv_mode}"
         table.add_row(Path(asset.grid).name, ", ".join(asset.channels), f"channels read{how}")
-    if made.splits:
-        table.add_row("glass", f"{2**made.splits} paths", f"both ways at the first {made.splits} surfaces of a path")
     table.add_row("outputs", ", ".join(made.outputs), "asked for")
-    for omission in made.left_out:
-        table.add_row(omission.what, "left out", omission.reason)
+    for known in made.capabilities:
+        size = f"{known.bytes:,}" if known.bytes else ""
+        table.add_row(known.what, known.how or "left out", known.reason, size, _saved(known))
+    table.caption = "time saved: estimated, as a share of the tracing time of this plan, on Dr.Jit and on NumPy"
     return table
+
+
+def _saved(known: Capability) -> str:
+    if known.saving is None:
+        return ""
+    drjit, numpy = (f"{share:.0%}" if share >= 0.01 else "<1%" for share in (known.saving.drjit, known.saving.numpy))
+    return drjit if drjit == numpy else f"{drjit}, {numpy}"
 
 
 def _progress() -> Progress:

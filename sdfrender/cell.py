@@ -130,7 +130,7 @@ def isolate(xp: Engine, polynomial: Polynomial, sign: Array, bound: Array, activ
     sign
         Sign carried from before the segment: -1, 1, or 0 where it is not known yet.
     bound
-        Rounding bound of a coefficient.
+        Rounding bound of a coefficient, by ray.
     active
         Rays that ask.
 
@@ -153,7 +153,7 @@ def isolate(xp: Engine, polynomial: Polynomial, sign: Array, bound: Array, activ
     )
     smallest = sqrt(xp.eps)  # below, a bulge that the coefficients show is under the rounding bound itself
 
-    def halve(state: _Split, _: tuple[Array, ...]) -> _Split:
+    def halve(state: _Split, bound: Array) -> _Split:
         found, low, _high, before = state.bracket
         left, right = _de_casteljau(xp, state.rest, state.cut)
         changes, after = sign_changes(xp, left, before, bound)
@@ -172,7 +172,7 @@ def isolate(xp: Engine, polynomial: Polynomial, sign: Array, bound: Array, activ
         cut = xp.where(go_on, 1.0, state.cut * 0.5)
         return _Split(xp.integer(~(here | (none & whole))), bracket, cut, rest)
 
-    end = xp.while_loop(lambda state: state.working > 0, halve, start)
+    end = xp.while_loop(lambda state: state.working > 0, halve, start, bound)
     return end.bracket, after
 
 

@@ -192,11 +192,12 @@ def _solve(xp: Engine, tables: Tables, state: _March, ray: Ray) -> _March:
     asked = walk.status == SOLVE
     way = leave_cube(xp, ray, walk.t, walk.cell, behind(walk.cell))
     enter, leave = (in_lattice(xp, ray, u) for u in ends_in_cell(xp, ray, walk, way))
-    taps = stencil(xp, tables, base_of(xp, tables, turned(xp, tables, ray, walk.cell), asked), asked)
+    base = base_of(xp, tables, turned(xp, tables, ray, walk.cell), asked)
+    taps, bound = stencil(xp, tables, base, asked), xp.gather(tables.bounds, base // tables.width**3, asked)
     polynomial = ray_polynomial(xp, tables.kernel, taps, enter, leave)
     residue = xp.where(ray.leaving & (walk.t == 0), polynomial[0], 0.0)
     polynomial = tuple(b - residue for b in polynomial)
-    bracket, sign = isolate(xp, polynomial, walk.sign, tables.bound, asked)
+    bracket, sign = isolate(xp, polynomial, walk.sign, bound, asked)
     hit = bracket.found & asked
     go_on = asked & ~hit
     moved = moved_on(xp, ray, way, sign)

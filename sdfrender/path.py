@@ -14,7 +14,7 @@ from sdfrender.crossing import decide, entering
 from sdfrender.field import Jet, Spot
 from sdfrender.flags import Flag
 from sdfrender.palette import Surface
-from sdfrender.plan import FUSED
+from sdfrender.planned import FUSED
 from sdfrender.radiance import Shown, ending, first_hit, shown
 from sdfrender.rays import Beam
 from sdfrender.stage import Stage

@@ -7,13 +7,12 @@ function's values at the Greville points (r/d, s/d, t/d), because Bernstein poly
 A ray whose two ends in a cell are beyond the same plane does not meet the surface there, and needs no polynomial.
 """
 
-from collections.abc import Callable
 from functools import reduce
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from sdfbake.bricks import SIDE
 from sdfbake.engine import Array, Engine
@@ -40,20 +39,29 @@ class Slabs(NamedTuple):
     delta
         Half the slab's width, with the rounding of all that computes and reads the slab.
     largest
-        Greatest sum of |weight x coefficient| behind a control point of these cells' nets.
+        Per brick, on the host: greatest sum of |weight x coefficient| behind a control point of its cells' nets; 0
+        where it has none of these cells.
     """
 
     size: int
     cell: Array
     plane: Array
     delta: Array
-    largest: float
+    largest: Float[np.ndarray, " k"]
 
 
-def slabs(xp: Engine, made: Stencils, blocks: Blocks, kernel: Kernel, margin: Callable[[float], float]) -> Slabs:
+def slabs(
+    xp: Engine,
+    made: Stencils,
+    blocks: Blocks,
+    kernel: Kernel,
+    reach: Float[np.ndarray, " k"],
+    least: Float[np.ndarray, " k"],
+) -> Slabs:
     """Find the cells that may hold surface.
 
-    The nets are computed in single precision whatever traces: their rounding widens the slabs by a millionth.
+    The nets are computed in single precision whatever traces: their rounding widens the slabs by a millionth. What is
+    found in a brick depends on the bricks around it alone: it is the same where others were not loaded.
 
     Parameters
     ----------
@@ -63,22 +71,21 @@ def slabs(xp: Engine, made: Stencils, blocks: Blocks, kernel: Kernel, margin: Ca
         Coefficients of every brick.
     kernel
         The kernel.
-    margin
-        Of the greatest sum of |weight x coefficient| that any cell can have: the least |f| of a cell that is empty.
+    reach, least
+        Per brick: bound of the coefficients of its cells, and the least |f| of a cell that is empty.
     """
-    reach = max(abs(end) for end in xp.extremes(made.coefficients))
-    least = margin(_greatest_row(kernel) ** 3 * reach) * _UP
+    least = least * _UP
     asked = _asked(xp, made, blocks, kernel, (least, reach))
     count = len(asked)
     if count == 0:
-        return _nothing(xp)
-    margins = xp.at(32).uniform(least)
+        return _nothing(xp, blocks.size)
+    margins = xp.at(32).table(least)
     plane, delta, behind, may = xp.tabulated(
         count, lambda lane: _slab(xp, made, kernel, xp.gather(asked, lane, True), margins)
     )
     kept = xp.kept(may)
     if len(kept) == 0:
-        return _nothing(xp)
+        return _nothing(xp, blocks.size)
 
     def chosen(lane: Array) -> tuple[tuple[Array, ...], ...]:
         number = xp.gather(kept, lane, True)
@@ -91,36 +98,45 @@ def slabs(xp: Engine, made: Stencils, blocks: Blocks, kernel: Kernel, margin: Ca
         )
 
     cell, plane, delta, behind = xp.tabulated(len(kept), chosen)
-    largest = xp.extremes(behind)[1] * (1 + 32 * _SINGLE)
-    return Slabs(len(kept), cell, plane, delta, largest)
+    return Slabs(len(kept), cell, plane, delta, _greatest(np.array(cell) >> 9, np.array(behind), blocks.size))
 
 
-def _nothing(xp: Engine) -> Slabs:
+def _greatest(
+    brick: Int[np.ndarray, " n"], behind: Float[np.ndarray, " n"], count: int
+) -> Float[np.ndarray, " {count}"]:
+    """Return the greatest number of every brick, those of one following each other; 0 where there is none."""
+    largest, first = np.zeros(count), np.flatnonzero(np.diff(brick, prepend=-1))
+    largest[brick[first]] = np.maximum.reduceat(behind, first)
+    return largest * (1 + 32 * _SINGLE)
+
+
+def _nothing(xp: Engine, bricks: int) -> Slabs:
     """Return no slabs; no engine likes an empty table."""
     single = xp.at(32)
-    return Slabs(0, xp.table(np.zeros(1, np.int32)), single.table(np.zeros(4)), single.table(np.zeros(1)), 0.0)
+    blank = single.table(np.zeros(1))
+    return Slabs(0, xp.table(np.zeros(1, np.int32)), single.table(np.zeros(4)), blank, np.zeros(bricks))
 
 
-def _greatest_row(kernel: Kernel) -> float:
+def greatest_row(kernel: Kernel) -> float:
     """Return the greatest sum of |weight| behind a control point of one axis."""
     return float(np.abs(kernel.bezier).sum(axis=1).max())
 
 
-def _asked(xp: Engine, made: Stencils, blocks: Blocks, kernel: Kernel, bounds: tuple[float, float]) -> Array:
+def _asked(xp: Engine, made: Stencils, blocks: Blocks, kernel: Kernel, bounds: tuple[np.ndarray, np.ndarray]) -> Array:
     """Return the cells that a look at the planes across x does not show to be empty: |f| > least.
 
     On a plane of coefficients f lies in the hull of its net along y and z. If no weight is negative, on the cell it
     lies in that of all its planes. If some are, it lies in that of the inner two, wider by a multiple of the greatest
     difference of neighbours.
     """
-    (least, reach), growth, count = bounds, _greatest_row(kernel), blocks.size
+    (least, reach), growth, count = bounds, greatest_row(kernel), blocks.size
     planes, bound = range(kernel.taps), least + 32 * _SINGLE * growth**2 * reach
     if growth > 1 + 1e-12:
         planes = range(kernel.taps // 2 - 1, kernel.taps // 2 + 1)
-        bound += _overshoot(kernel) * growth**2 * _steepest(xp, blocks, made, kernel)
-    limit, size = xp.at(32).uniform(bound * _UP), width(kernel)
+        bound = bound + _overshoot(kernel) * growth**2 * _steepest(xp, blocks, made, kernel)
+    limits, size = xp.at(32).table(bound * _UP), width(kernel)
 
-    (words,) = xp.tabulated(count * size * SIDE, lambda lane: ((_beyond(xp, made, kernel, lane, limit),),))
+    (words,) = xp.tabulated(count * size * SIDE, lambda lane: ((_beyond(xp, made, kernel, lane, limits),),))
 
     def near(lane: Array) -> tuple[tuple[Array]]:
         brick, x, y = brick_row(lane)
@@ -135,13 +151,14 @@ def _asked(xp: Engine, made: Stencils, blocks: Blocks, kernel: Kernel, bounds: t
     return xp.kept(mask)
 
 
-def _beyond(xp: Engine, made: Stencils, kernel: Kernel, lane: Array, limit: Array) -> Array:
+def _beyond(xp: Engine, made: Stencils, kernel: Kernel, lane: Array, limits: Array) -> Array:
     """Return of which cells of a row, in a plane across x, the net is above the limit (bits 0 to 7) or below (8 to 15).
 
     The lane is the brick, the plane, and the cells' place along y.
     """
     size, single = width(kernel), xp.at(32)
     first = (lane >> 3) * size**2 + (lane & 7) * size
+    limit = xp.gather(limits, lane // (size * SIDE), True)
     values: Cube = {
         (y, z): single.real(xp.gather(made.coefficients, first + (y * size + z), True))
         for y, z in product(range(kernel.taps), range(size))
@@ -169,8 +186,8 @@ def _overshoot(kernel: Kernel) -> float:
     return float(np.abs(np.cumsum(rows, axis=1)).sum(axis=1).max())
 
 
-def _steepest(xp: Engine, blocks: Blocks, made: Stencils, kernel: Kernel) -> float:
-    """Return the greatest difference, along x, of neighbouring coefficients that are made of samples."""
+def _steepest(xp: Engine, blocks: Blocks, made: Stencils, kernel: Kernel) -> Float[np.ndarray, " k"]:
+    """Return per brick the greatest difference, along x, of neighbouring coefficients that are made of samples."""
     size = width(kernel)
 
     def step(lane: Array) -> tuple[tuple[Array]]:
@@ -185,17 +202,19 @@ def _steepest(xp: Engine, blocks: Blocks, made: Stencils, kernel: Kernel) -> flo
         return ((xp.where(known, xp.abs(there - here), 0.0),),)
 
     (steps,) = xp.tabulated(blocks.size * size**3, step)
-    return xp.extremes(steps)[1]
+    greatest: Float[np.ndarray, " k"] = np.array(steps).reshape(blocks.size, -1).max(axis=1).astype(np.float64)
+    return greatest
 
 
 def _slab(
-    xp: Engine, made: Stencils, kernel: Kernel, cell: Array, least: Array
+    xp: Engine, made: Stencils, kernel: Kernel, cell: Array, margins: Array
 ) -> tuple[tuple[Array, Array, Array, Array], tuple[Array], tuple[Array], tuple[Array]]:
     """Fit a slab: the middle of the residual's range, the slope, and what is left; and say whether it comes near 0.
 
     The third result is the greatest sum of magnitudes behind a control point.
     """
     single, terms = xp.at(32), range(kernel.degree + 1)
+    least = xp.gather(margins, cell >> 9, True)
     taps = _taps(xp, made, kernel, cell)
     net = _net(single, taps, kernel.bezier)
     slope = [_slope(net, axis, len(terms)) for axis in range(3)]
@@ -205,7 +224,7 @@ def _slab(
     middle, steep = (low + high) * 0.5, reduce(lambda a, b: a + b, [single.abs(g) for g in slope])
     sizes = {place: single.abs(tap) for place, tap in taps.items()}
     # Over twice what rounds (docs/tracing.md), and what an engine of either precision rounds where it reads the slab.
-    rounding = single.most([*sizes.values()]) * (64 * _SINGLE * _greatest_row(kernel) ** 3)
+    rounding = single.most([*sizes.values()]) * (64 * _SINGLE * greatest_row(kernel) ** 3)
     delta = (high - low) * 0.5 + rounding + (single.abs(middle) + steep) * (4 * _SINGLE)
     behind = single.most([*_net(single, sizes, np.abs(kernel.bezier)).values()])
     # The corners of the cell are half a voxel from its centre along every axis.

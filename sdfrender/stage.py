@@ -12,10 +12,11 @@ from jaxtyping import Int
 
 from sdfbake.complaint import BadInput
 from sdfbake.engine import Array, Choice, Engine, choose
-from sdfbake.grid import Grid
+from sdfbake.gridfile import Reading, head, load_counted, nothing_read
 from sdfrender.assembly import Assembly
 from sdfrender.crossing import Bodies
 from sdfrender.environment import Environment
+from sdfrender.facts import IN_TEXELS, materials_of
 from sdfrender.field import Field
 from sdfrender.gridfield import GridField
 from sdfrender.instance import Instance
@@ -25,10 +26,13 @@ from sdfrender.lighting import Lighting
 from sdfrender.materials import CheckerTexture, Diffuse, Glass, ImageTexture, Material, Texture
 from sdfrender.palette import Palette
 from sdfrender.picture import read_picture
-from sdfrender.plan import IN_TEXELS, AssetPlan, Plan, make_plan
+from sdfrender.plan import make_plan
+from sdfrender.planned import AssetPlan, Plan
 from sdfrender.pyramid import Texture as Image
+from sdfrender.reach import Sight, frusta, needed
 from sdfrender.scene import Asset, Scene, load_scene
 from sdfrender.texture import Checker, Lookup, Sampler
+from sdfrender.unseen import Unseen
 from sdfrender.viewing import CameraView, View
 
 
@@ -52,6 +56,8 @@ class Stage:
         The environment and the lights; None where the plan needs none.
     bodies
         Bodies of glass, where there are several; None elsewhere.
+    read
+        How much of every grid was read; none where surfaces were given.
     """
 
     scene: Scene
@@ -65,6 +71,7 @@ class Stage:
     around: Environment | None
     lighting: Lighting | None
     bodies: Bodies | None
+    read: tuple[tuple[str, Reading], ...]
 
     def graze(self) -> float:
         """Return how deep a graze may be missed at most, world units: the largest of the grids' rounding bounds."""
@@ -109,9 +116,10 @@ def prepare(
         If an asset, a part, a channel or a texture that the scene needs is missing.
     """
     scene = (scene if isinstance(scene, Scene) else load_scene(scene)).plain()
-    plan, choice, members = _members(scene, field, engine, precision)
+    view = view or CameraView(scene.camera.camera(scene.film.size), scene.film.supersample, scene.film.seed)
+    plan, choice, members, read = _members(scene, field, (engine, precision), view)
     xp = choice.engine
-    by_part = [_by_part(asset, member.part_names) for asset, member in zip(scene.assets, members, strict=True)]
+    by_part = [materials_of(asset, member.part_names) for asset, member in zip(scene.assets, members, strict=True)]
     materials = [material for materials in by_part for material in materials]
     names = sorted({m.texture for m in materials if isinstance(m, Diffuse) and m.texture is not None})
     looked_at = set(plan.outputs) & {"rgb", *IN_TEXELS}
@@ -120,7 +128,7 @@ def prepare(
     return Stage(
         scene=scene,
         plan=plan,
-        view=view or CameraView(scene.camera.camera(scene.film.size), scene.film.supersample, scene.film.seed),
+        view=view,
         choice=choice,
         field=members[0] if len(members) == 1 else Assembly(members),
         members=tuple(members),
@@ -129,12 +137,16 @@ def prepare(
         around=around,
         lighting=lighting,
         bodies=_glass(xp, scene, by_part),
+        read=read,
     )
 
 
+Read = tuple[tuple[str, Reading], ...]
+
+
 def _members(
-    scene: Scene, given: Field | Sequence[Field] | None, engine: str, precision: int | None
-) -> tuple[Plan, Choice, list[Field]]:
+    scene: Scene, given: Field | Sequence[Field] | None, engine: tuple[str, int | None], view: View
+) -> tuple[Plan, Choice, list[Field], Read]:
     if given is not None:
         fields = list(given) if isinstance(given, Sequence) else [given]
         if len(scene.assets) != len(fields):
@@ -143,17 +155,25 @@ def _members(
         for field in fields if plan.uv else ():  # an assembly asks all that have texture coordinates
             field.prepare_uv()
         placed = [_placed(field, asset) for field, asset in zip(fields, scene.assets, strict=True)]
-        return plan, Choice(fields[0].engine, "that of the given surface"), placed
-    plan, choice = make_plan(scene), choose(engine, precision)
-    loaded: dict[AssetPlan, Field] = {}
-    members = []
-    for asset, least in zip(scene.assets, plan.assets, strict=True):
-        # One field serves all places of a grid, if what is read for one of them is enough for the others.
-        needs = max((other for other in plan.assets if _serves(other, least)), key=lambda other: len(other.channels))
-        if needs not in loaded:
-            loaded[needs] = _load(scene, needs, choice)
-        members.append(_placed(loaded[needs], asset))
-    return plan, choice, members
+        return plan, Choice(fields[0].engine, "that of the given surface"), placed, ()
+    plan, choice = make_plan(scene), choose(*engine)
+    for asset in plan.assets:  # a missing one is named before another is read
+        head(asset.grid)
+    # One field serves all places of a grid, if what is read for one of them is enough for the others.
+    serving = [
+        max((other for other in plan.assets if _serves(other, least)), key=lambda other: len(other.channels))
+        for least in plan.assets
+    ]
+    sights = _sights(scene, plan, view)
+    members: list[Field | None] = [None] * len(serving)
+    read = []
+    for needs in dict.fromkeys(serving):
+        places = [place for place, other in enumerate(serving) if other == needs]
+        found, reading = _load(scene, needs, choice, [sights[place] for place in places])
+        read.append((needs.grid, reading))
+        for place, field in zip(places, found, strict=True):
+            members[place] = _placed(field, scene.assets[place])
+    return plan, choice, [member for member in members if member is not None], tuple(read)
 
 
 def _serves(other: AssetPlan, needs: AssetPlan) -> bool:
@@ -161,29 +181,40 @@ def _serves(other: AssetPlan, needs: AssetPlan) -> bool:
     return other.grid == needs.grid and enough
 
 
-def _load(scene: Scene, needs: AssetPlan, choice: Choice) -> GridField:
-    grid = Grid.load(needs.grid, channels=set(needs.channels))
+def _sights(scene: Scene, plan: Plan, view: View) -> list[Sight | None]:
+    """Return what is seen of the grid of every asset; None for all of it."""
+    around = frusta(view) if all(asset.in_sight for asset in plan.assets) else None
+    if around is None:
+        return [None] * len(plan.assets)
+    lattices = [head(asset.grid)[0] for asset in plan.assets]
+    placed = [asset.placed() for asset in scene.assets]
+    boxes = np.stack([place.bounds(lattice.bounds) for place, lattice in zip(placed, lattices, strict=True)])
+    size = float(np.linalg.norm(boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)))
+    return [Sight.of(around, place, lattice, size) for place, lattice in zip(placed, lattices, strict=True)]
+
+
+def _load(
+    scene: Scene, needs: AssetPlan, choice: Choice, sights: Sequence[Sight | None]
+) -> tuple[list[Field], Reading]:
+    """Load a grid for all its places: one field, and where nothing of it is in sight, none."""
+    seen = [sight for sight in sights if sight is not None]
+    lattice, metadata = head(needs.grid)
+    met = [sight is None or sight.meets_lattice(lattice) for sight in sights]
+    unseen = Unseen(lattice, metadata, choice.engine, needs.uv_mode)
+    if not any(met):
+        return [unseen for _ in sights], nothing_read(needs.grid)
+    whole = len(seen) < len(sights) or metadata.source == "dense"  # of distances alone is known what others may be
+    wanted = None if whole else lambda _, bricks: needed(seen, bricks)
+    grid, reading = load_counted(needs.grid, set(needs.channels), wanted)
     field = GridField(grid, kernel(scene.trace.kernel, scene.trace.tension), choice, uv_mode=needs.uv_mode)
     if needs.uv_mode is not None:
         field.prepare_uv()
-    return field
+    return [field if here else unseen for here in met], reading
 
 
 def _placed(field: Field, asset: Asset) -> Field:
     placed = asset.placed()
     return field if placed.is_identity else Instance(field, placed)
-
-
-def _by_part(asset: Asset, parts: tuple[str, ...]) -> tuple[Material, ...]:
-    """Return the material of every part of an asset."""
-    given = {material.part: material for material in asset.materials}
-    unknown = set(given) - set(parts) - {"*"}
-    if unknown:
-        raise BadInput(f"{asset.grid} has no part '{min(unknown)}' for a material: its parts are {', '.join(parts)}")
-    for part in parts:
-        if part not in given and "*" not in given:
-            raise BadInput(f"the part '{part}' of {asset.grid} has no material: add one for it, or one for '*'")
-    return tuple(given.get(part, given.get("*", asset.materials[0])) for part in parts)
 
 
 def _sampler(xp: Engine, texture: Texture) -> Lookup:

@@ -38,8 +38,8 @@ class Tables:
         Samples per axis, uniform integers.
     bricks
         Bricks per axis, uniform integers.
-    bound
-        Rounding bound of a Bernstein coefficient, uniform.
+    bounds
+        Per slot the rounding bound of a Bernstein coefficient of its cells.
     """
 
     kernel: Kernel
@@ -50,7 +50,7 @@ class Tables:
     coefficients: Array
     samples: Cell
     bricks: Cell
-    bound: Array
+    bounds: Array
 
     @property
     def width(self) -> int:

@@ -23,7 +23,7 @@ def stored_in(grid: Grid) -> tuple[str, ...]:
     return tuple(mode for mode in MODES if held[mode] is not None)
 
 
-def choose_mode(stored: Collection[str], wish: str, source: str) -> str:
+def choose_mode(stored: Collection[str], wish: str, source: str, bake: str = "") -> str:
     """Choose a representation.
 
     Parameters
@@ -34,6 +34,8 @@ def choose_mode(stored: Collection[str], wish: str, source: str) -> str:
         One of `MODES`, or "auto" for the most exact there is.
     source
         Of whom a complaint speaks.
+    bake
+        The command that bakes it, as far as it is known.
 
     Raises
     ------
@@ -42,14 +44,15 @@ def choose_mode(stored: Collection[str], wish: str, source: str) -> str:
     """
     if wish not in (AUTO, *MODES):
         raise BadInput(f"there are no texture coordinates '{wish}': choose {AUTO} or one of {', '.join(MODES)}")
+    with_ = f"bake it with '{bake} --uv-mode {{}}'" if bake else "bake it with --uv-mode {}"
     if not stored:
-        modes = "faces, or --uv-mode grid" if wish == AUTO else wish
-        raise BadInput(f"{source} has no texture coordinates, which are needed here: bake it with --uv-mode {modes}")
+        modes = wish if wish != AUTO else "faces" if bake else "faces, or --uv-mode grid"
+        raise BadInput(f"{source} has no texture coordinates, which are needed here: {with_.format(modes)}")
     if wish == AUTO:
         return next(mode for mode in (*MODES, EXACT) if mode in stored)
     if wish not in stored:
         has = ", ".join(mode for mode in MODES if mode in stored)
         raise BadInput(
-            f"{source} has no texture coordinates as '{wish}' (it has {has}): bake it with --uv-mode {wish},{has}"
+            f"{source} has no texture coordinates as '{wish}' (it has {has}): {with_.format(f'{wish},{has}')}"
         )
     return wish

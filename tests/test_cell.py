@@ -36,7 +36,7 @@ def search(choice, polynomials, sign=0.0, bound=None):
 
     def program(xp, *columns):
         polynomial, sign = columns[:count], columns[count]
-        bracket, after = isolate(xp, polynomial, sign, xp.uniform(float(bound)), xp.full(sign, True))
+        bracket, after = isolate(xp, polynomial, sign, xp.full(sign, float(bound)), xp.full(sign, True))
         s = refine(xp, polynomial, bracket)
         found = xp.integer(bracket.found)
         return {"found": found, "s": s, "low": bracket.low, "high": bracket.high, "after": after}

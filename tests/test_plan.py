@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from charted import layers_of, with_all
-from scenery import furnish, mirror_scene, sphere_scene
+from scenery import SPHERE, furnish, mirror_scene, sphere_scene
 
 from datasets_synthetic import shape
 from sdfbake import Grid
 from sdfbake.complaint import BadInput
+from sdfbake.gridfile import stored_bytes
 from sdfbake.layers import FULL
 from sdfrender.plan import make_plan
 from sdfrender.render import shoot
@@ -53,7 +54,7 @@ TABLE = {
         {"distance", "uv", "chart", "part"},
     ),
     "mirror, uv": (mirror_scene, {"outputs": ("uv",)}, (1, None), False, True, {"distance", "uv", "chart", "part"}),
-    "mirror, Z": (mirror_scene, {"outputs": ("Z", "P", "N")}, (1,), False, False, {"distance", "part"}),
+    "mirror, Z": (mirror_scene, {"outputs": ("Z", "P", "N")}, (1,), False, False, {"distance"}),
     "mirror, flags": (mirror_scene, {"outputs": ("flags",)}, (2, 1), True, True, {"distance", "uv", "chart", "part"}),
 }
 
@@ -99,7 +100,9 @@ def test_the_planned_result_is_the_full_one(folder, case):
 def test_records_are_plain(folder):
     record = make_plan(load_scene(mirror_scene(folder))).record()
     assert record["orders"] == (2, 1) and json.loads(json.dumps(record))["splits"] == 0
-    assert [omission["what"] for omission in record["left_out"]] == ["refraction", "lights and shadows"]
+    left_out = [omission["what"] for omission in record["left_out"]]
+    assert left_out[:2] == ["refraction", "error channel"] and left_out[2:4] == ["lights and shadows", "environment"]
+    assert [row for row in record["capabilities"] if not row["needed"]] == record["left_out"]
 
 
 @pytest.fixture(scope="module")
@@ -178,3 +181,77 @@ def test_texture_coordinates_that_are_not_there(charted, folder):
     path.write_text(path.read_text().replace("sphere.zarr.zip", "none.zarr.zip"))
     plan = make_plan(load_scene(path))
     assert plan.assets[0].uv_mode == "layers" and not any("texture" in omission.what for omission in plan.left_out)
+
+
+BAKE = r"python -m sdfbake bake MESH -n {n} -o \S*{name}.zarr.zip"
+# What is asked of a grid that does not have it: its name, changes of its metadata, the scene, what is said.
+LACKING = {
+    "no uv": ("bare", {}, {"material": PAPER}, BAKE.format(n=32, name="poor") + " --uv-mode faces'"),
+    "no uv for an output": ("bare", {}, {"outputs": ("uv",)}, BAKE.format(n=32, name="poor") + " --uv-mode faces'"),
+    "narrow band": ("sphere", {"band": 3.0}, {}, "3 voxels.*bspline.*5.2.*" + BAKE.format(n=32, name="poor")),
+    "no parts": ("sphere", {"parts": ("a", "b")}, {"outputs": ("part",)}, "without its parts.* --uv-mode grid'"),
+    "unknown part": ("sphere", {}, {"material": '"diffuse", part = "head"'}, "no part 'head'"),
+}
+
+
+@pytest.mark.parametrize(("source", "claims", "options", "says"), LACKING.values(), ids=LACKING)
+def test_what_a_grid_lacks_is_said_before_it_is_read(folder, monkeypatch, source, claims, options, says):
+    grid = Grid.load(folder / f"{source}.zarr.zip")
+    replace(grid, metadata=grid.metadata.model_copy(update=claims)).save(folder / "poor.zarr.zip")
+    path = sphere_scene(folder, **options)
+    path.write_text(path.read_text().replace("sphere.zarr.zip", "poor.zarr.zip"))
+    monkeypatch.setattr("sdfrender.stage.load_counted", None)  # calling it would be another error
+    with pytest.raises(BadInput, match=f"poor.zarr.zip.*{says}"):
+        prepare(path, engine="numpy")
+
+
+def test_flags_say_where_a_band_is_too_narrow(folder):
+    grid = Grid.load(folder / "sphere.zarr.zip")
+    replace(grid, metadata=grid.metadata.model_copy(update={"band": 3.0})).save(folder / "poor.zarr.zip")
+    path = sphere_scene(folder, outputs=("Z", "flags"), size=(8, 8))
+    path.write_text(path.read_text().replace("sphere.zarr.zip", "poor.zarr.zip"))
+    assert (shoot(prepare(path, engine="numpy"))["flags"].astype(int) & 32).any()
+
+
+def test_a_kernel_without_second_derivatives(folder):
+    scene = load_scene(sphere_scene(folder, outputs=("curvature",)))
+    with pytest.raises(BadInput, match="curvature.*sphere.zarr.zip.*linear.*bspline"):
+        make_plan(scene.with_(size=None, outputs=None, kernel="linear"))
+    make_plan(scene)
+
+
+def test_a_missing_grid_is_named_before_another_is_read(folder, monkeypatch):
+    path = sphere_scene(folder)
+    path.write_text(path.read_text() + SPHERE.format(material='"diffuse"').replace("sphere.zarr", "none.zarr"))
+    monkeypatch.setattr("sdfrender.stage.load_counted", None)
+    with pytest.raises(BadInput, match="none.zarr.zip.*python -m sdfbake bake"):
+        prepare(path, engine="numpy")
+
+
+def test_materials_that_no_part_is_made_of_cost_nothing(folder):
+    path = mirror_scene(folder)
+    path.write_text(path.read_text().replace("materials = [", 'materials = [\n    { type = "glass" },'))
+    plan = make_plan(load_scene(path))
+    assert (plan.splits, plan.orders) == (0, (2, 1))  # with glass eight bounces and both ways
+    assert "glass for '*' of mirror.zarr.zip" in {row.what for row in plan.left_out}
+
+
+def test_bytes_that_stay_unread_are_those_of_the_file(charted, folder):
+    plan = make_plan(load_scene(charted("layers")))
+    sizes, said = stored_bytes(folder / "charted.zarr.zip"), {row.what: row.bytes for row in plan.left_out}
+    faces = sizes["face"] + sum(size for name, size in sizes.items() if name.startswith("surface."))
+    assert said["texture coordinates as faces"] == faces
+    assert said["texture coordinates as grid"] == sizes["uv"] + sizes["chart"]
+    assert sum(said.values()) == sum(
+        size for name, size in sizes.items() if name.split(".")[0] in ("face", "surface", "uv", "chart", "error")
+    )
+
+
+def test_time_saved_is_of_what_would_be_done_otherwise(folder):
+    """Nine samples instead of one take eight times longer on top; Hessians take some, refraction of no glass none."""
+    rows = {
+        row.what: row for row in make_plan(load_scene(sphere_scene(folder, outputs=("Z",), supersample=3))).left_out
+    }
+    assert rows["further samples"].saving.numpy == rows["further samples"].saving.drjit == 8
+    assert 0 < rows["Hessians"].saving.drjit < rows["texture coordinates"].saving.drjit < 1
+    assert rows["refraction"].saving is None

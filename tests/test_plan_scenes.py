@@ -1,14 +1,20 @@
 """Plans of whole scenes: glass, lights, surroundings, several assets; and that what they leave out changes no bit."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 from scenery import CAMERA, TEXTURE, furnish
 
+from sdfbake import Grid
+from sdfbake.engine import choose
+from sdfbake.engine.choose import _jit_problem
+from sdfrender.flags import Flag
+from sdfrender.gridfield import GridField
 from sdfrender.plan import make_plan
 from sdfrender.render import shoot
-from sdfrender.scene import load_scene
+from sdfrender.scene import Output, load_scene
 from sdfrender.stage import prepare
 
 
@@ -76,7 +82,7 @@ def test_what_whole_scenes_need(folder, case):
     assert [plan.orders, plan.differentials, plan.footprints, plan.uv, plan.parts, plan.splits, plan.lit] == needs
     assert tuple(set(asset.channels) for asset in plan.assets) == channels
     left_out = {omission.what for omission in plan.left_out}
-    assert ("refraction" in left_out) is ('"glass"' not in case[3])
+    assert ("refraction" in left_out) is ('"glass"' not in case[3] or len(plan.orders) == 1)
     assert ("lights and shadows" in left_out) is not plan.lit
     assert ("ray differentials" in left_out) is not plan.differentials
     assert ("parts" in left_out) is not plan.parts
@@ -104,3 +110,86 @@ def test_the_check_sees_what_is_missing(folder):
     less = replace(stage.plan, orders=(1, 1))
     with pytest.raises((AssertionError, AttributeError, TypeError)):
         assert np.array_equal(shoot(stage)["rgb"], shoot(replace(stage, plan=less))["rgb"])
+
+
+OUTPUTS = get_args(Output)
+# Outputs that are planned alike, so that one picture of them all is that of each alone.
+ALIKE = [
+    ("rgb",),
+    ("Z", "P"),
+    ("N",),
+    ("curvature",),
+    ("part",),
+    ("uv", "chart"),
+    ("duv_dx", "duv_dy", "lod", "lod_invariant", "ellipse", "nonlinearity"),
+    ("flags",),
+]
+# Scenes whose ends all have texture coordinates, so that any output can be asked for: head, bounces, what follows.
+PAIRED = {
+    "page": (SKY, 1, PAGE),
+    "mirror and page": (DULL, 1, MIRROR + PAGE),
+    "glass before a page": (DULL, 2, GLASS + PAGE),
+}
+
+
+@pytest.fixture(scope="module")
+def everything(folder):
+    """All outputs of a scene at once, everything forced on, on surfaces of which everything was read; by request."""
+    known = {}
+
+    def made(name, engine):
+        if (name, engine) not in known:
+            scene = load_scene(paired(folder, name, OUTPUTS))
+            choice = choose(engine, 64)
+            fields = [GridField(Grid.load(asset.grid), engine=choice) for asset in scene.assets]
+            stage = prepare(scene, field=fields)
+            full = replace(stage.plan, orders=(2,) * len(stage.plan.orders), differentials=True, footprints=True)
+            known[name, engine] = shoot(replace(stage, plan=replace(full, parts=True, uv=True)))
+        return known[name, engine]
+
+    return made
+
+
+def paired(folder, name, outputs):
+    head, bounces, rest = PAIRED[name]
+    return whole(folder, (head, ",".join(outputs), bounces, rest), 6)
+
+
+def compared(planned, full, output):
+    """Return two arrays that are the same picture; flags without what only other outputs make them say."""
+    if output != "flags":
+        return planned[output], full[output]
+    others = int(Flag.NONLINEAR | Flag.CLAMPED)
+    return tuple(picture["flags"].astype(int) & ~others for picture in (planned, full))
+
+
+def test_all_outputs_are_planned_alike_some(folder):
+    assert sorted(output for outputs in ALIKE for output in outputs) == sorted(OUTPUTS)
+    for name in PAIRED:
+        for outputs in ALIKE:
+            alone = [make_plan(load_scene(paired(folder, name, [output]))) for output in outputs]
+            together = make_plan(load_scene(paired(folder, name, outputs)))
+            bare = replace(together, outputs=(), capabilities=())
+            assert all(replace(plan, outputs=(), capabilities=()) == bare for plan in alone)
+
+
+@pytest.mark.parametrize("outputs", ALIKE, ids=lambda outputs: outputs[0])
+@pytest.mark.parametrize("name", PAIRED)
+def test_every_output_alone_is_that_of_everything(folder, everything, name, outputs):
+    """Bit for bit: other orders, channels, bricks and hits than when everything is asked for."""
+    planned = shoot(prepare(paired(folder, name, outputs), engine="numpy"))
+    for output in outputs:
+        mine, theirs = compared(planned, everything(name, "numpy"), output)
+        np.testing.assert_array_equal(mine, theirs, err_msg=output)
+        assert np.isfinite(mine).all() and (np.ptp(mine) > 0 or output in ("chart", "part", "flags"))
+
+
+@pytest.mark.skipif(_jit_problem() is not None, reason="Dr.Jit is not usable")
+@pytest.mark.parametrize("output", ["rgb", "N", "lod", "flags"])
+def test_every_output_alone_is_that_of_everything_on_drjit(folder, everything, output):
+    """The compiler fuses multiplications with additions as it likes: a few units in the last place of float64, which
+    two bounces enlarge by no more than 1e4.
+    """
+    planned = shoot(prepare(paired(folder, "mirror and page", [output]), engine="drjit", precision=64))
+    mine, theirs = compared(planned, everything("mirror and page", "drjit"), output)
+    np.testing.assert_allclose(mine, theirs, rtol=1e4 * 2.0**-52, atol=1e4 * 2.0**-52)

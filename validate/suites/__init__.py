@@ -13,6 +13,7 @@ SUITES = (
     "misses",
     "frontier",
     "engines",
+    "savings",
     "opinion",
     "baking",
     "rendering",

@@ -1,0 +1,113 @@
+"""What the report says about what scenes leave out."""
+
+from collections.abc import Sequence
+
+from validate.experiment import Run
+from validate.section import Headline, Section, Table, number, percent, pick
+from validate.suites.savings import FLAT, IDLE, TENTH
+
+TITLE = "What a scene does not need"
+ASKED = (
+    "A scene pays only for what its outputs use. Each is rendered as planned, and with everything on: all channels and "
+    "bricks read, all outputs recorded, Hessians and differentials at every hit; same rays, same engine. Pictures must "
+    "be the same to the last bit, and counters show that what was left out was not done."
+)
+LIMITS = {"drjit": 0.6, "numpy": 0.5, "bytes": 0.75, "bricks": 0.2}
+
+
+def section(runs: Sequence[Run]) -> Section:
+    """Write the section."""
+    errors, times = {run.problem: run for run in pick(runs)}, pick(runs, "timing")
+    rows = tuple(_row(name, run, times) for name, run in errors.items())
+    header = (
+        "Scene",
+        "left out",
+        "bytes read",
+        "bricks in sight",
+        "bricks read",
+        "time, NumPy",
+        "time, Dr.Jit",
+        "values that differ",
+    )
+    return Section(
+        name="savings",
+        title=TITLE,
+        asked=ASKED,
+        finding=_finding(errors, times) or ("No run succeeded.",),
+        headlines=_headlines(errors, times),
+        tables=(Table("Shares of what everything takes.", header, rows), _work(errors)) if rows else (),
+    )
+
+
+def share(times: Sequence[Run], problem: str, engine: str) -> float | None:
+    """Return the time of the planned run over that of everything."""
+    found = {
+        run.setup["what"]: run.values["seconds"]
+        for run in times
+        if run.problem == problem and run.setup["engine"] == engine
+    }
+    return found["planned"] / found["everything"] if len(found) == 2 else None
+
+
+def _row(name: str, run: Run, times: Sequence[Run]) -> tuple[str, ...]:
+    values = run.values
+    return (
+        f"{name}, {run.knob['resolution']:g}³",
+        f"{values['left_out']:.0f} things",
+        percent(values["bytes"] / values["of_bytes"]),
+        percent(values["in_sight"]),
+        percent(values["bricks"] / values["of_bricks"]),
+        percent(share(times, name, "numpy")),
+        percent(share(times, name, "drjit")),
+        f"{values['differing']:.0f}" if "differing" in values else "-",
+    )
+
+
+def _finding(errors: dict[str, Run], times: Sequence[Run]) -> tuple[str, ...]:
+    sentences = []
+    differing = sum(run.values.get("differing", 0.0) for run in errors.values())
+    if errors:
+        same = "the same to the last bit" if not differing else f"NOT the same: {differing:.0f} values differ"
+        idle = sum(run.values.get(f"planned.{name}", 0.0) for run in errors.values() for name in IDLE)
+        done = "none was" if not idle else "SOME were"
+        sentences.append(
+            f"Planned pictures are {same}; of Hessians and texture look-ups that were left out {done} done."
+        )
+    for engine, word in (("drjit", "Dr.Jit"), ("numpy", "NumPy")):
+        found = share(times, FLAT, engine)
+        if found is not None:
+            asked = f"at most {LIMITS[engine]:g}" + ("" if found <= LIMITS[engine] else " is asked for and NOT reached")
+            sentences.append(f"Flat colours take {number(found, 2)} of the time on {word} ({asked}).")
+    return tuple(sentences)
+
+
+def _headlines(errors: dict[str, Run], times: Sequence[Run]) -> tuple[Headline, ...]:
+    lines = []
+    for engine, word in (("drjit", "Dr.Jit"), ("numpy", "NumPy")):
+        found = share(times, FLAT, engine)
+        if found is not None:
+            lines.append(
+                Headline(
+                    f"Flat scene, planned: share of the time, {word}", number(found, 2), f"at most {LIMITS[engine]:g}"
+                )
+            )
+    for name, what in ((FLAT, "bytes"), (TENTH, "bricks")):
+        if name in errors:
+            values = errors[name].values
+            figure = number(values[what] / values[f"of_{what}"], 2)
+            lines.append(
+                Headline(f"{name.capitalize()}: share of the {what} read", figure, f"at most {LIMITS[what]:g}")
+            )
+    return tuple(lines)
+
+
+def _work(errors: dict[str, Run]) -> Table:
+    """Counts per ray, planned and with everything on."""
+    names = ("values", "gradients", "hessians", "channels", "polynomials")
+    rows = tuple(
+        (f"{name}, {word}", *(number(run.values.get(f"{kind}.{counter}")) for counter in names))
+        for name, run in errors.items()
+        for kind, word in (("planned", "planned"), ("full", "everything"))
+        if f"{kind}.values" in run.values
+    )
+    return Table("Work per ray, counted.", ("Run", *names), rows)

@@ -1,0 +1,136 @@
+"""What a scene leaves out, and what that saves: each planned, and with everything on, same rays.
+
+In: build/grids/bunny@512.zarr.zip. Out: error runs (whether pictures are the same to the last bit, bytes and bricks
+read, and counts of work as proof that what is left out is not done), and timed runs of both, engine by engine.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sdfbake.gridfile import load_counted
+from sdfrender import GridField
+from sdfrender.reach import Sight, frusta
+from sdfrender.render import shoot
+from sdfrender.scene import Scene
+from sdfrender.similarity import IDENTITY
+from sdfrender.stage import Stage, prepare
+from validate.counters import Counters
+from validate.experiment import Bench, Run, guarded, timed
+from validate.timing import measure
+
+RESOLUTION = 64  # of the grid that is traced for the clock: both engines prepare it at once
+LARGE = 512  # of the grid of which parts are read
+SIZES = {"numpy": 64, "drjit": 512}
+FEW = 48  # pixels along a side where bits and work are compared
+EVERYTHING = ("rgb", "Z", "P", "N", "curvature", "uv", "chart", "duv_dx", "duv_dy", "lod", "lod_invariant", "flags")
+# Work that only what is left out takes.
+IDLE = ("hessians", "channels")
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A scene: its outputs, where it is seen from, and of which grid."""
+
+    outputs: tuple[str, ...]
+    resolution: int
+    away: float
+    fov: float
+    timed: bool
+
+
+FLAT, TENTH = "flat colours", "a tenth in sight"
+CASES = {
+    FLAT: Case(("rgb",), RESOLUTION, 2.6, 26.0, True),
+    "distances alone": Case(("Z",), RESOLUTION, 2.6, 26.0, True),
+    "normals": Case(("N", "Z"), RESOLUTION, 2.6, 26.0, True),
+    TENTH: Case(("rgb",), LARGE, 2.6, 15.0, False),
+}
+
+
+def run(bench: Bench) -> Iterator[Run]:
+    """Compare, then time."""
+    for name, case in CASES.items():
+        bench.progress(f"what is saved: {name}")
+        path = bench.grid("bunny", case.resolution)
+        blank = Run("savings", name, {"engine": "numpy"}, {"resolution": case.resolution}, "error")
+        yield guarded(blank, partial(_compared, blank, case, path))
+        for engine, size in SIZES.items() if case.timed else ():
+            for kind in ("planned", "everything"):
+                clock = replace(blank, kind="timing", setup={"engine": engine, "what": kind})
+                yield guarded(clock, partial(_timed, clock, case, path, size))
+
+
+def scene(case: Case, grid: Path, size: int) -> Scene:
+    """Look at the grid, along z, with a matt material in flat light."""
+    low, high = load_counted(grid, {"distance"}, lambda _, bricks: np.zeros(len(bricks), bool))[0].lattice.bounds
+    target = (low + high) / 2 + (high - low) * np.array([0.05, 0.1, 0.0])
+    eye = target + np.array([0.0, 0.0, case.away * float((high - low).max()) / 2])
+    return Scene.model_validate(
+        {
+            "camera": {"position": eye.tolist(), "target": target.tolist(), "fov": case.fov},
+            "film": {"size": [size, size], "outputs": list(case.outputs)},
+            "lights": [{"type": "directional", "direction": [0.3, -0.5, -1.0], "shadows": False}],
+            "background": [0.1, 0.2, 0.3],
+            "assets": [{"grid": grid, "materials": [{"type": "diffuse"}]}],
+        }
+    )
+
+
+def in_sight(stage: Stage, grid: Path) -> np.floating[Any]:
+    """Return the share of a grid's bricks that some ray of the picture can come into."""
+    whole = load_counted(grid, {"distance"})[0]
+    sight = Sight.of(frusta(stage.view) or (), IDENTITY, whole.lattice, 0.0)
+    return replace(sight, margin=0.0).meets(whole.bricks).mean()
+
+
+def everything(made: Scene, stage: Stage) -> Stage:
+    """Return the stage of the whole grid, with all outputs and all derivatives."""
+    film = made.film.model_copy(update={"outputs": tuple(dict.fromkeys((*made.film.outputs, *EVERYTHING)))})
+    grid, _ = load_counted(made.assets[0].grid)
+    field = GridField(grid, engine=stage.choice)
+    full = prepare(made.model_copy(update={"film": film}), field=field)
+    orders = (2,) * len(full.plan.orders)
+    return replace(full, plan=replace(full.plan, orders=orders, differentials=True, footprints=True, parts=True))
+
+
+def _compared(blank: Run, case: Case, grid: Path) -> Run:
+    made = scene(case, grid, FEW)
+    stage = prepare(made, engine="numpy")
+    (_, read), whole = stage.read[0], load_counted(grid)[1]
+    values = {
+        "bytes": float(read.bytes),
+        "of_bytes": float(whole.bytes),
+        "bricks": float(read.bricks),
+        "of_bricks": float(whole.bricks),
+        "in_sight": float(in_sight(stage, grid)),
+        "left_out": float(len(stage.plan.left_out)),
+    }
+    if case.timed:  # a large grid takes its time on NumPy: there the part alone is loaded
+        full = everything(made, stage)
+        ours, theirs = shoot(stage), shoot(full)
+        values["differing"] = float(sum(np.count_nonzero(ours[name] != theirs[name]) for name in ours))
+        values |= {f"full.{name}": value for name, value in _work(full).items()}
+    values |= {f"planned.{name}": value for name, value in _work(stage).items()}
+    return replace(blank, values=values)
+
+
+def _work(stage: Stage) -> dict[str, float]:
+    """Count what tracing takes per ray."""
+    counters = Counters(stage.choice.engine.precision)
+    field = counters.watch(stage.field)
+    shoot(replace(stage, field=field, choice=replace(stage.choice, engine=field.engine)))
+    return {name: count / FEW**2 for name, count in asdict(counters.work).items()}
+
+
+def _timed(blank: Run, case: Case, grid: Path, size: int) -> Run:
+    made = scene(case, grid, size)
+    stage = prepare(made, engine=blank.setup["engine"])
+    if blank.setup["what"] == "everything":
+        stage = everything(made, stage)
+    trace: Callable[[], object] = partial(shoot, stage)
+    return timed(blank.suite, blank.problem, blank.setup, blank.knob, measure(trace, repeats=3), rays=size**2)
