@@ -212,7 +212,8 @@ def passes_caustic(xp: Engine, beam: Beam, t: Array) -> Array:
     """Say whether the beam's cross-section (dp_dx x dp_dy) . d vanishes strictly between its origin and t.
 
     The cross-section is a quadratic in t; its Bernstein coefficients over the way decide. A double root, the focus of
-    a sphere, counts; rounding is allowed for by 64 units in the last place of the discriminant. Each of the two
+    a sphere, counts: each coefficient may be off by 64 units in the last place of the largest number that it is a sum
+    of, for near an end of the way it is a small difference of such. Each of the two
     displacements is taken in its own size, which no root depends on: a beam as thin as 1e-30 or as wide as 1e30
     neither under- nor overflows float32. Only this segment counts: a mirror or a refraction that turns the sign of
     the cross-section does so at the segment's end.
@@ -226,7 +227,9 @@ def passes_caustic(xp: Engine, beam: Beam, t: Array) -> Array:
     b2 = b1 + (mixed + last)
     opposite = (b0 < 0) & (b2 > 0) | (b0 > 0) & (b2 < 0)
     dips = (b0 < 0) & (b2 < 0) & (b1 > 0) | (b0 > 0) & (b2 > 0) & (b1 < 0)
-    return opposite | dips & (b1 * b1 * (1.0 + 64.0 * xp.eps) >= b0 * b2)
+    rounding = 64.0 * xp.eps * (xp.abs(first) + 2.0 * xp.abs(mixed) + xp.abs(last))
+    slack = rounding * (xp.abs(b0) + xp.abs(b1) + xp.abs(b2))
+    return opposite | dips & (b1 * b1 + slack >= b0 * b2)
 
 
 def _sized(xp: Engine, p: Vector, q: Vector) -> tuple[Vector, Vector]:

@@ -16,7 +16,7 @@ from validate.experiment import Run
 from validate.section import Section
 from validate.suites import SUITES
 
-LONG_TABLE = 16  # rows; longer tables are folded until asked for, and in print open
+LONG_TABLE = 48  # rows; longer tables are folded until asked for, and in print open
 
 
 @dataclass(frozen=True, slots=True)
