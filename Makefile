@@ -30,7 +30,7 @@ OBJECTS := bunny torus mirror
 # On whose atlases the representations of texture coordinates are compared.
 CHARTED := bunny torus
 SUITES := $(OBJECTS:%=footprints-%) $(CHARTED:%=representations-%) figures pictures inspector scores opinion misses \
-	shapes meshes matrix bounces faults convergence stress
+	shapes meshes matrix bounces faults truths convergence stress
 TIMED := frontier engines representations-clock cost derivatives filtering
 
 GRIDS := $(foreach name,$(OBJECTS),$(name)@64 $(name)@512) $(foreach name,$(CHARTED),$(name)@128 $(name)@256) sphere@16
@@ -182,7 +182,6 @@ $(foreach m,$(CHARTED),$(eval $(call runs,representations-$(m)): \
 $(call runs,representations-bunny): $(CHECKER)
 $(call runs,representations-clock): $(call mesh,bunny) $(call grid,bunny@64) $(call grid,bunny@256)
 $(call runs,opinion): $(foreach m,$(OBJECTS),$(call mesh,$(m)) $(call grid,$(m)@64) $(call grid,$(m)@512))
-$(call runs,engines): $(call grid,mirror@64) $(call grid,mirror@512)
 
 # Timed steps share the machine with nothing: they wait for everything else, and for each other.
 $(call runs,frontier): | $(foreach s,$(SUITES),$(call runs,$(s))) $(RENDER_FILES)

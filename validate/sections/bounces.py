@@ -39,7 +39,10 @@ def section(runs: Sequence[Run]) -> Section:
         return Section("bounces", TITLE, ASKED, ("No run succeeded, so there is nothing to compare.",))
     panels = [panel for name, of in ways.items() if (panel := _panel(name, of))]
     rows = [panels[i : i + 3] for i in range(0, len(panels), 3)]
-    pictures = tuple(Picture(plots.convergence(row), CAPTION if i == 0 else "") for i, row in enumerate(rows))
+    pictures = tuple(
+        Picture(plots.convergence(row), CAPTION if i == 0 else "The same of the other ways.")
+        for i, row in enumerate(rows)
+    )
     tables = (_mirrored(sphere), *(_table(name, of) for name, of in ways.items()), _trust(ways))
     return Section(
         name="bounces",

@@ -125,7 +125,7 @@ def _method_headlines(sweeps: dict[str, list[Run]]) -> tuple[Headline, ...]:
         for order, theory in zip(orders(found), EXPECTED[kernel], strict=True)
     )
     what = f"Fitted orders of value, gradient and shape operator ({', '.join(sweeps)}): farthest from theory"
-    return (Headline(what, number(off), f"at most {WITHIN:g}"),)
+    return (Headline(what, number(off), f"at most {WITHIN:g}", off <= WITHIN),)
 
 
 def _ends(exact: dict[str, list[Run]], stored: dict[str, list[Run]]) -> tuple[str, ...]:
@@ -155,7 +155,8 @@ def _rival(sweeps: dict[str, list[Run]]) -> tuple[str, ...]:
 def _headlines(sweeps: dict[str, list[Run]]) -> tuple[Headline, ...]:
     found = [run for run in sweeps.get("bspline", []) if run.knob["resolution"] == 64]
     what = "Shape operator of the exact sphere at 64³, B-spline: median relative error"
-    return tuple(Headline(what, number(run.values["shape_operator.p50"]), f"at most {number(LIMIT)}") for run in found)
+    figures = [run.values["shape_operator.p50"] for run in found]
+    return tuple(Headline(what, number(one), f"at most {number(LIMIT)}", one <= LIMIT) for one in figures)
 
 
 def _table(caption: str, sweeps: dict[str, list[Run]]) -> Table:

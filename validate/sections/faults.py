@@ -2,8 +2,12 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from validate import plots
 from validate.experiment import Run
-from validate.section import Headline, Section, Table, number, pick
+from validate.plots import Series
+from validate.section import Headline, Picture, Section, Table, number, pick
 
 HEALTHY = "none"
 TITLE = "Do the checks find a fault?"
@@ -34,6 +38,7 @@ def section(runs: Sequence[Run]) -> Section:
         asked=ASKED,
         finding=_finding(rows, planted),
         headlines=_headlines(rows, planted),
+        pictures=(_picture(rows),),
         tables=(_table(rows), _limits(found)),
         notes=(*NOTES, *(f"{name}: {rows[name][0].setup['about']}." for name in planted)),
     )
@@ -82,6 +87,21 @@ def _headlines(rows: dict[str, list[Run]], planted: Sequence[str]) -> tuple[Head
     )
 
 
+def _picture(rows: dict[str, list[Run]]) -> Picture:
+    """Every check's figure as a share of its limit, one colour per fault."""
+    checks = list(dict.fromkeys(run.setup["check"] for found in rows.values() for run in found))
+    series = [
+        Series(
+            "healthy" if name == HEALTHY else name,
+            np.array([run.values["figure"] / run.values["limit"] for run in found]),
+            np.array([float(checks.index(run.setup["check"])) for run in found]),
+        )
+        for name, found in rows.items()
+    ]
+    caption = "Figures of the checks as shares of their limits; in the shaded part a fault is caught."
+    return Picture(plots.shares(series, "figure / limit", checks), caption)
+
+
 def _table(rows: dict[str, list[Run]]) -> Table:
     """Checks down, faults across."""
     checks = list(dict.fromkeys(run.setup["check"] for found in rows.values() for run in found))
@@ -106,4 +126,4 @@ def _limits(found: Sequence[Run]) -> Table:
         (check, run.setup["compares"], run.setup["unit"], number(run.values["limit"]))
         for check, run in reversed(first.items())
     )
-    return Table("The checks.", ("Check", "compares", "unit", "limit"), lines)
+    return Table("The checks.", ("Check", "compares", "unit", "limit"), lines, prose=(1,))

@@ -241,12 +241,13 @@ def _headlines(problems: dict[str, list[Run]]) -> tuple[Headline, ...]:
     lines = []
     for problem, found in problems.items():
         for run in filter(_finest, found):
-            truth = "the mesh by Embree" if "primary" in problem else "the exact shape, closed form"
+            truth, met = "the mesh by Embree" if "primary" in problem else "the exact shape, closed form", None
             if problem == ASKED_OF:
                 truth += f"; at most {AT_MOST[0]:g} / {AT_MOST[1]:g}"
+                met = all(figure <= most for figure, most in zip(_levels(run), AT_MOST, strict=True))
             what = (
                 f"{problem}, {run.setup['route']} 512³, uv as {run.setup['uv']}, B-spline: level-of-detail error "
                 "inside charts, p50 / p95"
             )
-            lines.append(Headline(what, " / ".join(map(number, _levels(run))), truth))
+            lines.append(Headline(what, " / ".join(map(number, _levels(run))), truth, met))
     return tuple(lines)

@@ -16,7 +16,7 @@ ASKED = (
     "What does an error cost? A camera looks at an exact shape, from outside at a sphere, or from within its hole at a "
     "torus, and every ray is traced, mirrored with its differentials, and traced on. On x the median error of the beam "
     "after the last mirror (its footprint on a distant environment), on y microseconds per camera ray; points of one "
-    "curve are grids of 16 to 256 samples per axis, or meshes of finer and finer triangles with interpolated normals. "
+    "curve are grids of 16 to 128 samples per axis, or meshes of finer and finer triangles with interpolated normals. "
     "Errors and times come from separate runs, and the black line joins what nothing else beats."
 )
 NOTES = (

@@ -28,7 +28,7 @@ from validate.facets import Normals
 from validate.metrics import Seen
 from validate.views import framing, seen, through_field
 
-SIZE = 384
+SIZE = 256
 RESOLUTIONS = (64, 512)
 KERNELS = ("bspline", "linear")
 # Texture coordinates that are read, per route.

@@ -26,7 +26,7 @@ from validate.metrics import summary
 from validate.suites.convergence import KERNELS, sphere_grid
 from validate.timing import measure
 
-RESOLUTIONS = (16, 32, 64, 128, 256)
+RESOLUTIONS = (16, 32, 64, 128)
 # Engine, precision, and pixels along a side for the clock: enough for the cost per ray to be that of a full picture.
 SETUPS = (("numpy", "64", 48), ("drjit", "32", 192), ("drjit", "64", 192))
 # Pixels whose ray meets the surface flatter than this are the silhouette's: there the footprint has no bound.

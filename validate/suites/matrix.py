@@ -27,7 +27,7 @@ from validate.metrics import footprint as jacobians
 from validate.views import TEXELS, seen
 
 KERNELS = ("linear", "catmull-rom", "bspline")
-RESOLUTIONS = (64, 128, 256)
+RESOLUTIONS = (32, 64, 128)
 ENGINES = (("numpy", 64), ("drjit", 64), ("drjit", 32))
 SIZE, QUICK = 128, 48  # pixels
 PROBLEM = "mirror sphere, one bounce onto the page"
@@ -46,7 +46,7 @@ class Case:
 
 def run(bench: Bench) -> Iterator[Run]:
     """All engines and kernels on one grid at a time."""
-    size, resolutions = (QUICK, RESOLUTIONS[:1]) if bench.quick else (SIZE, RESOLUTIONS)
+    size, resolutions = (QUICK, (64,)) if bench.quick else (SIZE, RESOLUTIONS)
     case = cache(partial(_case, size))
     for n in resolutions:
         bench.progress(f"kernels, engines and precisions, {n}^3")

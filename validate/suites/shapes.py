@@ -50,7 +50,7 @@ QUICK = Sizes(grid=32, picture=40)
 # Where the distance is found by iteration, sample by sample, and hits ray by ray.
 COSTLY = {
     "knot": Sizes(grid=64),  # thin: in a smaller picture it is all silhouette
-    **dict.fromkeys(("gyroid", "bumps", "terrain"), Sizes(grid=64, picture=80)),
+    **dict.fromkeys(("gyroid", "bumps", "terrain"), Sizes(grid=48, picture=80)),
 }
 
 
