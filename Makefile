@@ -29,8 +29,9 @@ RENDERS := $(FIGURES) $(FIGURES:%=%-baked) figure-4-reference reference torus bu
 OBJECTS := bunny torus mirror
 # On whose atlases the representations of texture coordinates are compared.
 CHARTED := bunny torus
-SUITES := $(OBJECTS:%=footprints-%) $(CHARTED:%=representations-%) figures pictures opinion convergence misses
-TIMED := frontier engines representations-clock
+SUITES := $(OBJECTS:%=footprints-%) $(CHARTED:%=representations-%) figures pictures inspector scores opinion misses \
+	shapes meshes matrix bounces faults truths convergence stress
+TIMED := frontier engines representations-clock cost derivatives filtering
 
 GRIDS := $(foreach name,$(OBJECTS),$(name)@64 $(name)@512) $(foreach name,$(CHARTED),$(name)@128 $(name)@256) sphere@16
 EXACT_GRIDS := exact-mirror@64 exact-mirror@512 exact-torus@64 exact-torus@512 exact-sphere@16 exact-sphere@64 \
@@ -56,7 +57,7 @@ MESH_CODE := $(SHARED_CODE) $(wildcard datasets_synthetic/*.py) \
 	$(addprefix sdfbake/,diagnosis.py repair.py unwrap.py topology.py triangle.py)
 BAKE_CODE := $(wildcard sdfbake/*.py)
 RENDER_CODE := $(wildcard sdfrender/*.py sdfbake/engine/*.py) $(addprefix sdfbake/,grid.py gridfile.py bricks.py lattice.py)
-CHECK_CODE := $(wildcard validate/*.py validate/suites/*.py)
+CHECK_CODE := $(wildcard validate/*.py validate/suites/*.py validate/stress/*.py)
 
 # Pythons in which other bakers and renderers are looked for, beside the system's and ours; separated as in PATH.
 export PEER_PYTHONS ?= $(subst $(eval ) ,:,$(wildcard $(BUILD)/trueform/bin/python $(BUILD)/mitsuba/bin/python))
@@ -165,6 +166,9 @@ $(BUILD)/runs/%.jsonl: $(CHECK_CODE) $(RENDER_CODE) | $(READY)
 	$(PY) -m validate run $* -o $@ --build $(BUILD)
 
 $(call runs,figures): $(filter-out $(foreach r,torus bunny $(OPTICS),$(call render,$(r))),$(RENDER_FILES))
+$(call runs,inspector): $(foreach m,bunny torus,$(call mesh,$(m)) $(call grid,$(m)@512)) $(call mesh,mirror) \
+	$(call grid,exact-mirror@512) $(TEXTURE_FILES) $(RENDERS:%=$(BUILD)/scenes/%.toml)
+$(call runs,scores): $(foreach m,bunny torus,$(call mesh,$(m)) $(call render,$(m)))
 $(call runs,pictures): $(foreach r,$(OPTICS),$(call render,$(r)))
 # One file of runs per object, so that they are made side by side.
 $(BUILD)/runs/footprints-%.jsonl: $(BUILD)/meshes/%.ply $(BUILD)/grids/%@64.zarr.zip $(BUILD)/grids/%@512.zarr.zip \
@@ -178,12 +182,15 @@ $(foreach m,$(CHARTED),$(eval $(call runs,representations-$(m)): \
 $(call runs,representations-bunny): $(CHECKER)
 $(call runs,representations-clock): $(call mesh,bunny) $(call grid,bunny@64) $(call grid,bunny@256)
 $(call runs,opinion): $(foreach m,$(OBJECTS),$(call mesh,$(m)) $(call grid,$(m)@64) $(call grid,$(m)@512))
-$(call runs,engines): $(call grid,mirror@64) $(call grid,mirror@512)
 
 # Timed steps share the machine with nothing: they wait for everything else, and for each other.
 $(call runs,frontier): | $(foreach s,$(SUITES),$(call runs,$(s))) $(RENDER_FILES)
 $(call runs,engines): | $(call runs,frontier)
 $(call runs,representations-clock): | $(call runs,engines)
+$(call runs,derivatives): | $(call runs,representations-clock)
+$(call runs,filtering): $(call grid,torus@128) $(call grid,exact-mirror@64) $(call grid,exact-sheet@128) | $(call runs,derivatives)
+$(call runs,cost): $(foreach m,$(CHARTED),$(call mesh,$(m)) $(foreach n,64 128 256,$(call grid,$(m)@$(n)))) \
+	| $(call runs,filtering)
 
 # ---- tests -----------------------------------------------------------------------------------------------------------
 test: format-check lint types imports pytest  ## format, lint, types, room rules and all tests

@@ -27,15 +27,15 @@ def cli() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def list_(*, as_json: bool) -> None:
     """List shapes, real meshes, textures and scenes."""
-    record = _catalogue()
     if as_json:
-        print_json(record)
+        print_json(_catalogue())
         return
-    for entry in record["meshes"]:
-        kind = "exact shape and mesh" if entry["exact"] else "mesh" if entry["installed"] else "mesh, NOT INSTALLED"
-        click.echo(f"{entry['name']:24}{kind:24}{entry['about']}")
-    for kind in ("texture", "scene"):
-        for name in record[f"{kind}s"]:
+    for name, entry in registry.ENTRIES.items():
+        click.echo(f"{name:24}{'exact shape and mesh':24}{entry.about}")
+    for name, (_, about) in real.FILES.items():
+        click.echo(f"{name:24}{'mesh' if _installed(name) else 'mesh, NOT INSTALLED':24}{about}")
+    for kind, names in (("texture", (*textures(), SKY)), ("scene", scene_names())):
+        for name in names:
             click.echo(f"{name:24}{kind}")
 
 

@@ -9,12 +9,20 @@ from math import isfinite
 
 from datasets_synthetic import real
 from datasets_synthetic.box import Box
+from datasets_synthetic.bumps import bumps
+from datasets_synthetic.capsule import capsule
+from datasets_synthetic.cone import cone
+from datasets_synthetic.cylinder import cylinder
+from datasets_synthetic.ellipsoid import ellipsoid
+from datasets_synthetic.gyroid import gyroid
 from datasets_synthetic.knot import knot
 from datasets_synthetic.net import Net
 from datasets_synthetic.shape import ExactShape
 from datasets_synthetic.sheet import sheet
 from datasets_synthetic.sphere import Sphere
+from datasets_synthetic.terrain import terrain
 from datasets_synthetic.torus import torus
+from datasets_synthetic.turned import plane
 from datasets_synthetic.union import Union
 from sdfbake.complaint import BadInput
 from sdfbake.mesh import Mesh
@@ -43,12 +51,26 @@ def mirror() -> Union:
     return Union((Sphere(0.8), page), ("sphere", "sheet"))
 
 
+def wall() -> Box:
+    """Build a wall thinner than a voxel of a grid of 64 (2 / 62 = 0.03), its front [0, 1]^2 and facing +z."""
+    return sheet((2.0, 2.0), 0.02, name="wall")
+
+
 ENTRIES = {
     "sphere": Entry(lambda: Sphere(0.8), 0.022, "sphere of radius 0.8, equiangular cube map"),
     "torus": Entry(torus, 0.021, "torus, major radius 0.7, minor 0.3"),
     "box": Entry(lambda: Box(Net.fitted((0.8, 0.6, 0.5))), 0.021, "box of 1.6 x 1.2 x 1, unfolded without stretch"),
     "sheet": Entry(sheet, 0.022, "sheet of 2 x 2 x 0.2, its front [0, 1]^2"),
     "knot": Entry(knot, 0.021, "tube of radius 0.14 around a (2, 3) torus knot"),
+    "plane": Entry(plane, 0.026, "oblique slab of 2 x 2 x 0.5, its front [0, 1]^2"),
+    "wall": Entry(wall, 0.02, "wall of 2 x 2 x 0.02, thinner than a voxel at 64"),
+    "cylinder": Entry(cylinder, 0.02, "cylinder, radius 0.6, height 1.4"),
+    "cone": Entry(cone, 0.018, "cone, radius 0.7, height 1.4"),
+    "capsule": Entry(capsule, 0.02, "capsule, radius 0.5, 1.9 long"),
+    "ellipsoid": Entry(ellipsoid, 0.021, "ellipsoid, half axes 0.95, 0.7, 0.5"),
+    "gyroid": Entry(gyroid, 0.03, "gyroid shell in a ball of radius 0.9, six projections"),
+    "bumps": Entry(bumps, 0.021, "sphere of radius 0.75 displaced by up to 0.15"),
+    "terrain": Entry(terrain, 0.024, "rounded block of 1.8 x 1.8 x 1 with hills on top"),
     "mirror": Entry(mirror, 0.034, "sphere and sheet, Galim 2018"),
 }
 

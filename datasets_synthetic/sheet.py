@@ -22,6 +22,7 @@ def sheet(
     thickness: float = 0.2,
     front: tuple[float, float, float] = (0.0, 0.0, 0.0),
     facing: str = "+z",
+    name: str = "sheet",
 ) -> Box:
     """Place a sheet whose text reads left to right for an eye outside its front, with y up.
 
@@ -35,8 +36,10 @@ def sheet(
         Middle of the front face, world frame.
     facing
         Outward direction of the front: "+z" or "-z".
+    name
+        Name of its part.
     """
     half = (size[0] / 2, size[1] / 2, thickness / 2)
     frame = FACING[facing]
     x, y, z = np.asarray(front) - half[2] * frame[2]
-    return Box(Net.front(half), (float(x), float(y), float(z)), frame, ("sheet",))
+    return Box(Net.front(half), (float(x), float(y), float(z)), frame, (name,))

@@ -24,7 +24,7 @@ from sdfbake.bricks import Bricks
 from sdfbake.complaint import BadInput
 from sdfbake.faces import FaceTable
 from sdfbake.grid import CHANNELS, Grid
-from sdfbake.gridchunks import Archive, DistrustError, array, checked, require, some_rows
+from sdfbake.gridchunks import Archive, DistrustError, array, checked, encoded, require, some_rows
 from sdfbake.gridlayout import CHOICES, KIND, LAYOUT, TABLES, belongs, chunks, file_order
 from sdfbake.lattice import Lattice
 from sdfbake.layers import Layers
@@ -185,9 +185,10 @@ def _encoded(grid: Grid) -> dict[str, bytes]:
         "shape": list(grid.lattice.shape),
         "metadata": metadata.model_dump(mode="json"),
     })  # fmt: skip
+    chunked: dict[str, bytes] = {}
     for name, values in _in_file_order(arrays, grid.bricks).items():
         kind = LAYOUT[name][1]
-        array = group.create_array(
+        group.create_array(
             name,
             shape=values.shape,
             chunks=chunks(name, values.shape),
@@ -195,10 +196,9 @@ def _encoded(grid: Grid) -> dict[str, bytes]:
             compressors=BloscCodec(cname="zstd", clevel=5, shuffle="shuffle", typesize=np.dtype(kind).itemsize),
             filters=None,
             fill_value=0,
-            config={"write_empty_chunks": True},
         )
-        array[...] = values
-    return {name: buffer.to_bytes() for name, buffer in entries.items()}
+        chunked |= encoded(name, values)
+    return {name: buffer.to_bytes() for name, buffer in entries.items()} | chunked
 
 
 def _in_file_order(arrays: Mapping[str, np.ndarray], bricks: Bricks) -> dict[str, np.ndarray]:

@@ -171,7 +171,7 @@ def _sampled(stage: Stage, outputs: frozenset[str], batches: _Batches, steps: _S
         steps.next()
         for name, values in _branched(stage, outputs, lanes, within).items():
             if name in COLOURS:
-                np.add.at(kept.setdefault(name, np.zeros(batches.count)), lanes.pixel, values)
+                kept[name] = kept.get(name, 0.0) + np.bincount(lanes.pixel, values, batches.count)
             else:
                 kept.setdefault(name, np.empty(batches.count, values.dtype))[lanes.pixel] = values
     return kept

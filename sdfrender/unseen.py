@@ -53,7 +53,8 @@ class Unseen:
     def jet_at(self, xp: Engine, spot: Spot, order: int) -> Jet:
         """Return zeros."""
         nothing = zero(xp, spot.t)
-        return Jet(*(nothing[0], nothing, Symmetric(*nothing, *nothing))[: order + 1])
+        hessian = Symmetric(*nothing, *nothing)
+        return Jet(nothing[0], nothing if order > 0 else None, hessian if order > 1 else None)
 
     def prepare_uv(self) -> None:
         """Prepare nothing."""

@@ -90,7 +90,7 @@ def test_chart_mismatch() -> None:
 
 def test_image_metrics() -> None:
     black, grey = np.zeros((4, 5, 3)), np.full((4, 5, 3), 0.1)
-    mse, psnr = (metric.function(grey, black)[0] for metric in IMAGE)
+    mse, psnr = (metric.function(grey, black)[0] for metric in IMAGE if metric.name != "flip")  # its own file
     assert (mse, psnr) == (pytest.approx(0.01), pytest.approx(20.0))
     assert metrics.image_psnr(grey, grey)[0] == 200.0
 
@@ -114,3 +114,9 @@ def test_fitted_order_stops_before_round_off() -> None:
     assert fitted_order(steps, errors, floor=1e-2) == pytest.approx(3.0)
     assert fitted_order(steps, errors) < 2.9
     assert fitted_order(steps, np.zeros(5)) == 0.0
+
+
+def test_uv_error_counts_texels() -> None:
+    truth = replace(seen(CIRCLE), texels=512.0)
+    moved = replace(truth, uv=np.array([[3.0, -4.0]]) / 512.0)
+    assert metrics.uv_error(moved, truth) == pytest.approx([5.0])

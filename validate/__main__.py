@@ -9,6 +9,7 @@ import click
 from rich.console import Console
 from rich.progress import Progress
 
+from sdfbake.atomic import check_writable
 from sdfbake.commandline import print_json, run
 from validate.experiment import Bench, Run, read_runs, write_runs
 from validate.suites import SUITES
@@ -51,6 +52,33 @@ def run_suites(
 
 
 @cli.command()
+@click.option("--only", help="The one case to run.")
+@click.option("--replay", help="The case whose worst ray is traced alone, every step printed.")
+@click.option(
+    "--check", help="With --replay: the check whose worst ray is meant; the nearest to its limit if left out."
+)
+@click.option(
+    "--runs",
+    default="build/runs/stress.jsonl",
+    show_default=True,
+    type=click.Path(path_type=Path),
+    help="With --replay: where the worst rays are stored; the case is run now if they are not.",
+)
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="JSON lines, one run per check.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def stress(
+    only: str | None, replay: str | None, check: str | None, runs: Path, output: Path | None, *, as_json: bool
+) -> None:
+    """Run the stiff and extreme cases; exits with 1 if a check fails that is no known limit."""
+    from validate.stress import terminal
+
+    if replay is not None:
+        terminal.replay(replay, check, runs)
+    elif not terminal.table(only, output, as_json=as_json):
+        sys.exit(1)
+
+
+@cli.command()
 @click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Folder for index.html.")
 @click.option("--json", "as_json", is_flag=True, help="Print a summary as one JSON object.")
@@ -64,6 +92,31 @@ def report(runs: tuple[Path, ...], output: Path, as_json: bool) -> None:
         print_json({"output": str(path), "runs": len(found), "failed": sum(not one.ok for one in found)})
     else:
         print(f"the report of {len(found)} runs is in {path}", file=sys.stderr)
+
+
+@cli.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--scene", required=True, type=click.Path(path_type=Path), help="The scene that FILE is of.")
+@click.option("--shape", "shapes", multiple=True, help="Truth: an exact shape, once for each asset of the scene.")
+@click.option("--mesh", "meshes", multiple=True, type=click.Path(path_type=Path), help="Truth: a mesh, once for each.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="JSON lines, for the report.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def score(
+    file: Path, scene: Path, shapes: tuple[str, ...], meshes: tuple[Path, ...], output: Path | None, *, as_json: bool
+) -> None:
+    """Score the footprints in FILE, OpenEXR or CSV, that any renderer wrote; see docs/validation.md."""
+    from validate.score import score as scored
+    from validate.score import show
+
+    if output is not None:
+        check_writable(output)
+    found = scored(file, scene, shapes, meshes)
+    if output is not None:
+        write_runs(output, [found])
+    if as_json:
+        print_json({"file": str(file), "scene": str(scene), "truth": found.setup["truth"], "values": found.values})
+    else:
+        show(found, Console())
 
 
 @cli.command()

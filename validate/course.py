@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from sdfrender import Field, Hits, Rays, leaving, reflect, refract, transfer
+from sdfrender.rays import COLUMNS
 from validate.beam import Beam
 from validate.identities import direction_defect, perturbed, surface_defect, symplectic_defect
 
@@ -118,19 +119,29 @@ def defects(course: Course, rays: Beam, rng: np.random.Generator, length: float 
     rng, length
         As for `validate.identities.perturbed`.
     """
-    first, second = perturbed(rays.p, rays.d, rng, length)
+    count = len(rays.p)
     symplectic, direction, surface, hit = [], [], [], []
-    alive = np.ones(len(rays.p), bool)
-    for one, two in zip(follow(course, first), follow(course, second), strict=True):
-        alive = alive & one.hits.hit
-        segment = symplectic_defect((one.before, two.before), (one.at, two.at), one.index, one.index, length)
-        turn = symplectic_defect((one.at, two.at), (one.after, two.after), one.index, one.beyond, length)
+    alive = np.ones(count, bool)
+    # Both bundles in one array: calls of few rays cost what they cost, however few.
+    for step in follow(course, _joined(*perturbed(rays.p, rays.d, rng, length))):
+        before, at, after = (_halves(bundle, count) for bundle in (step.before, step.at, step.after))
+        index, beyond, n = step.index[:count], step.beyond[:count], step.hits.n[:count]
+        alive = alive & step.hits.hit[:count]
+        segment = symplectic_defect(before, at, index, index, length)
+        turn = symplectic_defect(at, after, index, beyond, length)
         symplectic.append(np.where(alive, np.maximum(segment, turn), 0.0))
-        direction.append(np.where(alive, np.maximum(direction_defect(one.after), direction_defect(two.after)), 0.0))
-        sides = [surface_defect(one.hits.n, beam) for beam in (one.at, two.at)]
-        surface.append(np.where(alive, np.maximum(*sides), 0.0))
+        direction.append(np.where(alive, np.maximum(*map(direction_defect, after)), 0.0))
+        surface.append(np.where(alive, np.maximum(*(surface_defect(n, bundle) for bundle in at)), 0.0))
         hit.append(alive)
     return Defects(np.array(symplectic), np.array(direction), np.array(surface), np.array(hit))
+
+
+def _joined(first: Beam, second: Beam) -> Rays:
+    return Rays(*(np.concatenate([getattr(first, name), getattr(second, name)]) for name in COLUMNS))
+
+
+def _halves(rays: Rays, count: int) -> tuple[Rays, Rays]:
+    return rays.where(np.arange(count)), rays.where(np.arange(count, 2 * count))
 
 
 def as_rays(beam: Beam) -> Rays:

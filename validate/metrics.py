@@ -5,11 +5,13 @@ summaries of many. Footprints J = [dT/dx dT/dy] in texels per pixel; Galim 2018,
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Num
+
+from validate.flip import flip
 
 T = TypeVar("T")
 
@@ -35,6 +37,8 @@ class Seen:
         Chart id.
     voxel
         Spacing of the grid under test, the unit of hit errors.
+    texels
+        Texels along either side of the texture, the unit of errors of texture coordinates.
     """
 
     t: Float[np.ndarray, " n"]
@@ -43,6 +47,7 @@ class Seen:
     jacobian: Float[np.ndarray, "n 2 2"]
     chart: Int[np.ndarray, " n"]
     voxel: float = 1.0
+    texels: float = 1.0
 
     @property
     def hit(self) -> Bool[np.ndarray, " n"]:
@@ -51,10 +56,19 @@ class Seen:
 
     def at(self, where: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> "Seen":
         """The same at some of the pixels."""
-        return Seen(self.t[where], self.n[where], self.uv[where], self.jacobian[where], self.chart[where], self.voxel)
+        return replace(
+            self,
+            t=self.t[where],
+            n=self.n[where],
+            uv=self.uv[where],
+            jacobian=self.jacobian[where],
+            chart=self.chart[where],
+        )
 
 
 Image = Float[np.ndarray, "h w c"]
+# The same picture with the film shifted by parts of a pixel.
+Film = Float[np.ndarray, "shifts h w c"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +174,11 @@ def chart_mismatch(ours: Seen, truth: Seen) -> Float[np.ndarray, " n"]:
     return np.asarray(ours.chart != truth.chart, np.float64)
 
 
+def uv_error(ours: Seen, truth: Seen) -> Float[np.ndarray, " n"]:
+    """|T - T*| in texels; it means something where the charts agree, and only there."""
+    return np.asarray(np.linalg.norm(ours.uv - truth.uv, axis=1) * truth.texels)
+
+
 def image_mse(ours: Image, truth: Image) -> Float[np.ndarray, " n"]:
     """Mean square difference of two images in linear light."""
     return np.atleast_1d(np.mean((np.asarray(ours, np.float64) - np.asarray(truth, np.float64)) ** 2))
@@ -170,7 +189,23 @@ def image_psnr(ours: Image, truth: Image) -> Float[np.ndarray, " n"]:
     return np.asarray(np.minimum(-10.0 * np.log10(np.maximum(image_mse(ours, truth), 1e-20)), 200.0))
 
 
+def image_flip(ours: Image, truth: Image) -> Float[np.ndarray, " n"]:
+    """Mean over the picture of how visible the difference is when one flips between the two; see `validate.flip`."""
+    return np.atleast_1d(flip(np.asarray(ours, np.float64), np.asarray(truth, np.float64)).mean())
+
+
+def image_flicker(ours: Film, truth: Film) -> Float[np.ndarray, " n"]:
+    """How much each pixel boils while the picture moves by parts of a pixel, in linear light.
+
+    Standard deviation of ours - truth over the shifts, its root mean square over the channels. What the truth itself
+    changes is no flicker, and an error that stays (a blur) is none either.
+    """
+    error = np.asarray(ours, np.float64) - np.asarray(truth, np.float64)
+    return np.asarray(np.sqrt(error.var(axis=0).mean(axis=-1)).ravel())
+
+
 HIT_ERROR: Metric[Seen] = Metric("hit_error", "hit error", "voxel", "lower", hit_error)
+UV_ERROR: Metric[Seen] = Metric("uv_error", "texture coordinates where charts agree", "texel", "lower", uv_error)
 MISSED: Metric[Seen] = Metric("missed", "hit or miss differs", "share", "lower", missed)
 FOOTPRINT: tuple[Metric[Seen], ...] = (
     HIT_ERROR,
@@ -188,7 +223,9 @@ FOOTPRINT: tuple[Metric[Seen], ...] = (
 IMAGE: tuple[Metric[Image], ...] = (
     Metric("mse", "mean square error", "linear light squared", "lower", image_mse),
     Metric("psnr", "peak signal-to-noise ratio", "dB", "higher", image_psnr),
+    Metric("flip", "FLIP", "0 to 1", "lower", image_flip),
 )
+FLICKER: Metric[Film] = Metric("flicker", "flicker under sub-pixel shifts", "linear light", "lower", image_flicker)
 
 
 def summary(values: Num[np.ndarray, " n"], limits: tuple[float, ...] = (0.5, 1.0)) -> dict[str, float]:

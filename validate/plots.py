@@ -85,7 +85,7 @@ class Ellipses:
 def work_precision(panels: Sequence[Panel]) -> str:
     """Error on x, cost on y, both logarithmic: raw points faded, the Pareto front bold."""
     with matplotlib.rc_context(STYLE):
-        figure, axes = _axes(panels, 5.2, 4.0)
+        figure, axes = _axes(panels, min(5.2, 11.4 / len(panels)), 3.8)
         for panel, ax in zip(panels, axes, strict=True):
             for index, series in enumerate(panel.series):
                 _curve(ax, series, index, alpha=0.45)
@@ -107,6 +107,34 @@ def convergence(panels: Sequence[Panel]) -> str:
                 _curve(ax, series, index)
             _annotate(ax, panel.series[-1])
             _logarithmic(ax, panel)
+        return _svg(figure)
+
+
+def shares(rows: Sequence[Series], label: str, names: Sequence[str]) -> str:
+    """Shares of limits, one row per name from the top, one colour per series; beyond 1 a limit is not met.
+
+    Parameters
+    ----------
+    rows
+        Of every series x the shares, y the number of the row.
+    label
+        What the shares are of.
+    names
+        Of the rows.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(9.6, 1.5 + 0.19 * len(names)), layout="constrained")
+        ax = figure.subplots()
+        ax.axvspan(1.0, 1e4, color="#f6e3de", lw=0)
+        for index, series in enumerate(rows):
+            x = np.clip(series.x, 1e-8, 1e4)
+            y = series.y + 0.66 / len(rows) * (index - (len(rows) - 1) / 2)
+            ax.scatter(x, y, s=11, color=COLOURS[index], marker=MARKERS[index], alpha=0.75, lw=0, label=series.name)
+        ax.set(xscale="log", xlim=(5e-9, 1e4), ylim=(len(names) - 0.4, -0.6), xlabel=label)
+        ax.set_yticks(range(len(names)), names, fontsize=7.5)
+        ax.grid(axis="y", color="#eef1f4", lw=0.8)
+        ax.set_axisbelow(True)
+        figure.legend(loc="outside upper center", ncols=4)
         return _svg(figure)
 
 

@@ -16,7 +16,8 @@ from validate.experiment import Run
 from validate.section import Section
 from validate.suites import SUITES
 
-LONG_TABLE = 16  # rows; longer tables are folded until asked for, and in print open
+# Of a section's tables these many are open, if they have no more rows than this; the others are folded, in print open.
+OPEN_TABLES, LONG_TABLE = 2, 48
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,7 @@ def render(runs: Sequence[Run]) -> str:
         absent=[name for name, section in zip(SUITES, sections, strict=True) if section is None],
         headlines=[(section, line) for section in sections if section for line in section.headlines],
         failures=_failures(runs),
+        open=OPEN_TABLES,
         long=LONG_TABLE,
         counts={"ok": sum(run.ok for run in runs), "all": len(runs)},
         footer=_footer(runs),

@@ -50,11 +50,12 @@ class Inspector:
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """One line of the headline table: what was measured, the figure, and what it is measured against."""
+    """One line of the headline table: what was measured, the figure, against what; whether it is met, if a limit."""
 
     what: str
     figure: str
     against: str
+    met: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,7 +65,9 @@ def framing(bounds: Float[np.ndarray, "2 3"], size: int, direction: tuple[float,
 
 def seen(hop: Hop, voxel: float = 1.0) -> Seen:
     """What a reference saw."""
-    return Seen(hop.t, hop.n, hop.uv, metrics.footprint(hop.duv_dx, hop.duv_dy, TEXELS), hop.chart, voxel)
+    return Seen(
+        hop.t, hop.n, hop.uv, metrics.footprint(hop.duv_dx, hop.duv_dy, TEXELS), hop.chart, voxel, float(TEXELS)
+    )
 
 
 def through_field(field: Field, rays: Beam, bounces: int, voxel: float) -> tuple[Seen, Int[np.ndarray, " n"]]:
@@ -90,6 +92,7 @@ def through_field(field: Field, rays: Beam, bounces: int, voxel: float) -> tuple
         jacobian=_spread(jacobian, alive, count, 0.0),
         chart=_spread(prints.chart, alive, count, -1),
         voxel=voxel,
+        texels=float(TEXELS),
     )
     return view, _spread(prints.flags, alive, count, 0)
 

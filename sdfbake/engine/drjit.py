@@ -32,6 +32,17 @@ def _backend() -> ModuleType:
     return llvm
 
 
+def _ad() -> ModuleType:
+    """The same arrays with automatic differentiation."""
+    if dr.has_backend(dr.JitBackend.CUDA):
+        from drjit import cuda
+
+        return cuda.ad
+    from drjit import llvm
+
+    return llvm.ad
+
+
 def _aligned(values: np.ndarray, kind: Any) -> np.ndarray:
     """Copy to memory that starts on a cache line.
 
@@ -71,6 +82,44 @@ class DrjitEngine:
         dr.eval(*outputs.values())
         width = max(count, 1)
         return {name: self._whole(value, width)[:count] for name, value in outputs.items()}
+
+    def differentiable(self) -> "DrjitEngine":
+        """Return the engine whose arrays remember what is done to them, for `derivatives`."""
+        return DrjitEngine(self.precision, self.name, self.types if self.types.__name__.endswith(".ad") else _ad())
+
+    def derivatives(
+        self, program: Program, inputs: Sequence[np.ndarray]
+    ) -> tuple[dict[str, np.ndarray], dict[str, list[np.ndarray]]]:
+        """Run a program and differentiate it automatically, by Dr.Jit's reverse mode.
+
+        Parameters
+        ----------
+        program, inputs
+            As for `Engine.run`: floats, at least one lane. What happens in a lane depends on that lane's inputs alone.
+
+        Returns
+        -------
+        values
+            What the program returns.
+        derivatives
+            For every output its derivative with respect to every input, lane by lane.
+        """
+        columns = [self.table(column) for column in inputs]
+        dr.enable_grad(columns)
+        outputs = dict(program(self, *columns))
+        slopes: dict[str, list[Array]] = {}
+        for name, value in outputs.items():
+            dr.clear_grad(columns)
+            # The way back is kept: the other outputs take it too.
+            dr.backward_from(value, dr.ADFlag.ClearInterior)
+            slopes[name] = [dr.grad(column) for column in columns]
+        values = {name: dr.detach(value) for name, value in outputs.items()}
+        dr.eval(*values.values(), *(slope for row in slopes.values() for slope in row))
+        width = len(inputs[0])
+        return (
+            {name: self._whole(value, width) for name, value in values.items()},
+            {name: [self._whole(slope, width) for slope in row] for name, row in slopes.items()},
+        )
 
     @staticmethod
     def _whole(value: Array, width: int) -> np.ndarray:

@@ -64,7 +64,7 @@ def _headline(found: Sequence[Run], bits: str) -> Headline:
     chosen = _of(found, bits)
     what = f"Misses, late and false hits in float{bits}, of {_sum(chosen, 'rays'):,.0f} rays"
     against = "0 asked for" if bits == "64" else "0 beyond the stated tolerance asked for"
-    return Headline(what, f"{wrong(chosen):.0f}", against)
+    return Headline(what, f"{wrong(chosen):.0f}", against, wrong(chosen) == 0)
 
 
 def _table(found: Sequence[Run]) -> Table:

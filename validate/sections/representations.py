@@ -134,7 +134,8 @@ def _headlines(found: Sequence[Run]) -> tuple[Headline, ...]:
             figures = " / ".join(percent(at[mode].values[name]) for name, _ in QUANTITIES)
             limits = " / ".join(percent(goal) for goal in goals)
             what = f"Texture coordinates as {mode}, {GOAL_OF} at {GOAL_AT}³: wrong chart / level of detail off by > 0.5"
-            lines.append(Headline(what, figures, f"at most {limits}"))
+            met = all(at[mode].values[name] <= goal for (name, _), goal in zip(QUANTITIES, goals, strict=True))
+            lines.append(Headline(what, figures, f"at most {limits}", met))
     return tuple(lines)
 
 

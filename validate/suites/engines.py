@@ -1,6 +1,6 @@
 """Both engines over the same scene: whether they agree, and what each costs.
 
-In: build/grids/mirror@N.zarr.zip. Out: error runs (Dr.Jit in float64 and float32 against NumPy in float64) and timed
+In: nothing of the build. Out: error runs (Dr.Jit in float64 and float32 against NumPy in float64) and timed
 runs of all three, over a mirror bounce with footprints.
 """
 
@@ -11,6 +11,7 @@ from functools import cache, partial
 import numpy as np
 from jaxtyping import Float
 
+from datasets_synthetic import shape
 from sdfbake.grid import Grid
 from sdfrender import Camera, GridField, Rays
 from validate.experiment import Bench, Run, guarded, timed
@@ -18,7 +19,7 @@ from validate.metrics import Seen, summary
 from validate.timing import measure
 from validate.views import through_field
 
-RESOLUTIONS = (64, 512)
+RESOLUTIONS = (64, 128)
 # Pixels along a side. NumPy takes the fewer, enough for its cost per ray to be that of a full picture.
 FEW, MANY = 96, 512
 SETUPS = (("numpy", 64), ("drjit", 64), ("drjit", 32))
@@ -29,7 +30,7 @@ def run(bench: Bench) -> Iterator[Run]:
     """Compare with NumPy, then time, each engine with one field for both."""
     few, many = (Camera((0.0, 0.0, 1.9), (0.0, 0.0, 0.0), fov=50.0, size=(n, n)).rays() for n in (FEW, MANY))
     for resolution in RESOLUTIONS:
-        grid = Grid.load(bench.grid("mirror", resolution))
+        grid = Grid.from_function(shape("mirror"), resolution)
         truth: Seen | None = None
         for engine, precision in SETUPS:
             bench.progress(f"engine {engine} in float{precision}, {resolution}^3")

@@ -12,13 +12,13 @@ from functools import cache, partial
 from itertools import product
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from datasets_synthetic import shape
 from sdfbake.complaint import BadInput
 from sdfbake.grid import Grid
 from sdfbake.mesh import Mesh
-from sdfrender import Camera, Flag, GridField
+from sdfrender import Camera, GridField
 from validate.beam import Beam
 from validate.closed import ExactReference
 from validate.compare import compare, lod_map
@@ -28,7 +28,7 @@ from validate.facets import Normals
 from validate.metrics import Seen
 from validate.views import framing, seen, through_field
 
-SIZE = 384
+SIZE = 256
 RESOLUTIONS = (64, 512)
 KERNELS = ("bspline", "linear")
 # Texture coordinates that are read, per route.
@@ -122,7 +122,7 @@ def _judged(bench: Bench, views: list[View], grid: Grid, setup: dict[str, str], 
 
     def measured(view: View, blank: Run) -> Run:
         ours, flags = through_field(field(), view.rays, view.bounces, grid.lattice.spacing)
-        return _record(bench, view, blank, ours, (flags & Flag.SEAM) != 0)
+        return _record(bench, view, blank, ours, flags)
 
     for view in views:
         if view.bounces or setup["route"] == "baked grid":
@@ -130,8 +130,8 @@ def _judged(bench: Bench, views: list[View], grid: Grid, setup: dict[str, str], 
             yield guarded(blank, partial(measured, view, blank))
 
 
-def _record(bench: Bench, view: View, blank: Run, ours: Seen, seam: Bool[np.ndarray, " n"] | None) -> Run:
-    values = compare(ours, view.truth, view.among, seam)
+def _record(bench: Bench, view: View, blank: Run, ours: Seen, flags: Int[np.ndarray, " n"] | None) -> Run:
+    values = compare(ours, view.truth, (SIZE, SIZE), view.among, flags)
     error = lod_map(ours, view.truth, (SIZE, SIZE), view.among).astype(np.float16)
     words = [view.problem, *blank.setup.values(), *(f"{n:g}" for n in blank.knob.values())]
     name = "footprints-" + "-".join(word.replace(", ", "-").replace(" ", "-") for word in words)

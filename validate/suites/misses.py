@@ -21,7 +21,7 @@ from validate.bruteforce import Interpolant, Lines, first_roots, lines
 from validate.experiment import Bench, Run, guarded
 
 SUITE = "misses"
-RAYS, FEW, QUICK_RAYS = 100_000, 2_000, 1_000  # on Dr.Jit, on NumPy, and for tests
+RAYS, FEW, QUICK_RAYS = 20_000, 1_000, 1_000  # on Dr.Jit, on NumPy, and for tests
 AT_ONCE = 4_096  # disagreements that are looked into together
 # Of a place in voxels, from the docs: 11 N u, N samples along the longest axis, u half the precision's eps.
 PLACE = 11.0

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -81,11 +80,11 @@ def scene(case: Case, grid: Path, size: int) -> Scene:
     )
 
 
-def in_sight(stage: Stage, grid: Path) -> np.floating[Any]:
+def in_sight(stage: Stage, grid: Path) -> float:
     """Return the share of a grid's bricks that some ray of the picture can come into."""
     whole = load_counted(grid, {"distance"})[0]
     sight = Sight.of(frusta(stage.view) or (), IDENTITY, whole.lattice, 0.0)
-    return replace(sight, margin=0.0).meets(whole.bricks).mean()
+    return float(replace(sight, margin=0.0).meets(whole.bricks).mean())
 
 
 def everything(made: Scene, stage: Stage) -> Stage:
