@@ -137,12 +137,12 @@ def _decoded(archive: Archive, name: str, at: tuple[int, ...], chunk: tuple[int,
     return np.frombuffer(blosc.decompress(data), kind).reshape(chunk)
 
 
-def encoded(name: str, values: np.ndarray) -> dict[str, bytes]:
-    """Encode the chunks of an array as Zarr does, all of one size, what lies beyond the array 0; by their entries.
+def encoded(name: str, values: np.ndarray, shape: tuple[int, ...]) -> dict[str, bytes]:
+    """Encode an array in chunks as Zarr does, all of one shape, what lies beyond the array 0; by their entries.
 
     Zarr's own writing takes as long for every chunk as Blosc for a hundred kilobytes.
     """
-    kind, shape = np.dtype(LAYOUT[name][1]), chunks(name, values.shape)
+    kind = np.dtype(LAYOUT[name][1])
     codec = blosc.Blosc(cname="zstd", clevel=5, shuffle=blosc.SHUFFLE)
     places = list(np.ndindex(*(-(-n // c) for n, c in zip(values.shape, shape, strict=True))))
 

@@ -197,7 +197,7 @@ def _encoded(grid: Grid) -> dict[str, bytes]:
             filters=None,
             fill_value=0,
         )
-        chunked |= encoded(name, values)
+        chunked |= encoded(name, values, chunks(name, values.shape))
     return {name: buffer.to_bytes() for name, buffer in entries.items()} | chunked
 
 

@@ -44,7 +44,7 @@ def share(times: Sequence[Run], problem: str, engine: str) -> float | None:
     found = {
         run.setup["what"]: run.values["seconds"]
         for run in times
-        if run.problem == problem and run.setup["engine"] == engine
+        if run.kind == "timing" and run.problem == problem and run.setup["engine"] == engine
     }
     return found["planned"] / found["everything"] if len(found) == 2 else None
 
