@@ -86,18 +86,14 @@ def _headlines(errors: dict[str, Run], times: Sequence[Run]) -> tuple[Headline, 
     for engine, word in (("drjit", "Dr.Jit"), ("numpy", "NumPy")):
         found = share(times, FLAT, engine)
         if found is not None:
-            lines.append(
-                Headline(
-                    f"Flat scene, planned: share of the time, {word}", number(found, 2), f"at most {LIMITS[engine]:g}"
-                )
-            )
+            what, limit = f"Flat scene, planned: share of the time, {word}", LIMITS[engine]
+            lines.append(Headline(what, number(found, 2), f"at most {limit:g}", found <= limit))
     for name, what in ((FLAT, "bytes"), (TENTH, "bricks")):
         if name in errors:
             values = errors[name].values
-            figure = number(values[what] / values[f"of_{what}"], 2)
-            lines.append(
-                Headline(f"{name.capitalize()}: share of the {what} read", figure, f"at most {LIMITS[what]:g}")
-            )
+            share_read, limit = values[what] / values[f"of_{what}"], LIMITS[what]
+            title = f"{name.capitalize()}: share of the {what} read"
+            lines.append(Headline(title, number(share_read, 2), f"at most {limit:g}", share_read <= limit))
     return tuple(lines)
 
 
