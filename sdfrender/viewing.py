@@ -123,20 +123,14 @@ class CameraView:
         return [pixels, samples, *places]
 
     def start(self, xp: Engine, field: Field, columns: tuple[Array, ...]) -> Start:
-        """Return the beams: made in float64 and brought to the field's bounding sphere.
-
-        So no direction's rounding grows with the camera's distance.
-        """
+        """Return the beams, at the field's bounding sphere."""
         pixel, sample, *place = columns
         wide, width, across = xp.at(64), xp.uniform(self.size[0]), xp.uniform(self.per_axis)
         row, down = pixel // width, sample // across
         share = [wide.real(p) for p in place] or [0.5, 0.5]
         x = wide.real(pixel - row * width) + (share[0] + wide.real(sample - down * across)) * self.step
         y = wide.real(row) + (share[1] + wide.real(down)) * self.step
-        far = self.camera.beam(wide, x, y, field.anchor, self.step)
-        ahead = wide.uniform(self.camera.clearance(field.bounds))
-        near = Beam(*(_narrowed(xp, vector) for vector in far._replace(p=along(far.p, far.d, ahead))))
-        return Start(near, xp.full(near.p[0], 0.0) + xp.real(ahead))
+        return brought(xp, self.camera, field, (x, y), self.step)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,6 +178,18 @@ class GivenView:
     def start(self, xp: Engine, field: Field, columns: tuple[Array, ...]) -> Start:
         """Return the beams."""
         return Start(beam(columns[:18]), columns[18])
+
+
+def brought(xp: Engine, camera: AnyCamera, field: Field, film: tuple[Array, Array], step: float) -> Start:
+    """Return a camera's beams through places of its film, in double precision, at the field's bounding sphere.
+
+    They are made in float64 and brought there, so that no direction's rounding grows with the camera's distance.
+    """
+    wide = xp.at(64)
+    far = camera.beam(wide, *film, field.anchor, step)
+    ahead = wide.uniform(camera.clearance(field.bounds))
+    near = Beam(*(_narrowed(xp, vector) for vector in far._replace(p=along(far.p, far.d, ahead))))
+    return Start(near, xp.full(near.p[0], 0.0) + xp.real(ahead))
 
 
 def _narrowed(xp: Engine, vector: Vector) -> Vector:

@@ -41,6 +41,12 @@ def sphere():
 
 
 @pytest.fixture
+def undrawn(monkeypatch):
+    """Diagrams take a second each: a section's words need none."""
+    monkeypatch.setattr("validate.plots.work_precision", lambda panels: "data:,")
+
+
+@pytest.fixture
 def directions(rng):
     """1000 random unit vectors."""
     d = rng.normal(size=(1000, 3))

@@ -105,12 +105,6 @@ def made_up():
     return runs
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Diagrams take a second each; one test draws them."""
-    monkeypatch.setattr(written.plots, "work_precision", lambda panels: "data:,")
-
-
 def test_the_finding_follows_the_numbers(undrawn):
     found = written.section(made_up())
     text = " ".join(found.finding)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from beams import perpendicular, perturbed, symplectic_defect
+from beams import perturbed
 
 from datasets_synthetic import shape
 from datasets_synthetic.sphere import Sphere
@@ -14,6 +14,7 @@ from sdfrender.rays import beam, components, rays
 from sdfrender.vector import Symmetric
 from validate.closed import ExactReference
 from validate.exact import ShapeField
+from validate.identities import across, symplectic_defect
 
 EPS = np.finfo(float).eps
 
@@ -144,7 +145,7 @@ def test_normals_turn_across_themselves(choice, sphere, directions, rng):
         if choice.engine.precision == 64
         else GridField(Grid.from_function(sphere, 64, uv_mode="none"), "bspline", choice)
     )
-    move = perpendicular(rng.normal(size=directions.shape), directions)
+    move = across(rng.normal(size=directions.shape), directions)
 
     def program(xp, *c):
         spot = field.locate(xp, (c[0], c[1], c[2]), xp.full(c[0], True))

@@ -5,7 +5,7 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
-from beams import INDEX, crossed, forms, perturbed, symplectic_defect
+from beams import INDEX, crossed, perturbed
 
 from datasets_synthetic import shape
 from datasets_synthetic.sphere import Sphere
@@ -15,6 +15,7 @@ from sdfrender.rays import beam, components, rays, vectors
 from validate.beam import displace
 from validate.displaced import richardson
 from validate.exact import ShapeField
+from validate.identities import forms, symplectic_defect
 
 EPS = np.finfo(float).eps
 

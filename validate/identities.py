@@ -5,12 +5,18 @@ defects per ray, 0 up to rounding. With Omega the form n (dd_1 . dp_2 - dd_2 . d
 Omega of any two of four independent perturbations; a pinhole camera's own two have Omega = 0 and prove nothing.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
 from validate.beam import Beam, MeshRays
 
-Bundles = tuple[Beam, Beam]
+# The bound of every identity, 1e-12 in float64, in units of a precision's eps: a step has some 30 products and sums of
+# numbers no greater than what it makes; what n, t and H are does not matter to it.
+ROUNDINGS = 1e-12 / float(np.finfo(np.float64).eps)
+
+Bundles = Sequence[Beam]  # two
 PerRay = Float[np.ndarray, " n"]
 
 
@@ -63,7 +69,7 @@ def symplectic_defect(
     """
     moves = _moves(before, length) + _moves(after, length)
     size = np.max([np.sum(dp * dp + dd * dd, axis=1) for dp, dd in moves], axis=0)
-    change = np.abs(index_after * _forms(moves[4:]) - index_before * _forms(moves[:4])).max(axis=0)
+    change = np.abs(index_after * forms(after, length) - index_before * forms(before, length)).max(axis=0)
     return np.asarray(change / np.where(size > 0, size, 1.0))
 
 
@@ -90,7 +96,9 @@ def _moves(bundles: Bundles, length: float) -> list[tuple[np.ndarray, np.ndarray
     return [(across(dp, first.d) / length, dd) for dp, dd in pairs]
 
 
-def _forms(moves: list[tuple[np.ndarray, np.ndarray]]) -> Float[np.ndarray, "6 n"]:
+def forms(bundles: Bundles, length: float = 1.0) -> Float[np.ndarray, "6 n"]:
+    """dd_1 . dp_2 - dd_2 . dp_1 of all six pairs of the four perturbations."""
+    moves = _moves(bundles, length)
     pairs = [(moves[i], moves[j]) for i in range(4) for j in range(i)]
     return np.array([np.sum(dd_i * dp_j - dd_j * dp_i, axis=1) for (dp_i, dd_i), (dp_j, dd_j) in pairs])
 

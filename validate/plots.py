@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
+from sdfrender.footprint import ellipse
 from validate.frontier import pareto
 
 matplotlib.use("Agg")
@@ -166,11 +167,11 @@ def ellipses(panels: Sequence[Ellipses], magnified: float) -> str:
         for panel, ax in zip(panels, figure.subplots(1, len(panels), squeeze=False)[0], strict=True):
             faded = 255 - (255 - panel.texture[::2, ::2].astype(np.float64)) * 0.35
             ax.imshow(faded.astype(np.uint8), extent=(0, 1, 0, 1), interpolation="antialiased")
-            u, s, _ = np.linalg.svd(panel.jacobian.astype(np.float64))
-            size = magnified * s / panel.texture.shape[0]
-            angle = np.degrees(np.arctan2(u[:, 1, 0], u[:, 0, 0]))
+            # Half axes of a circle of radius 1 are the axes of one of diameter 1.
+            axes = ellipse(*np.moveaxis(panel.jacobian.astype(np.float64), 2, 0), size=(1, 1))
+            major, minor = (magnified * axis / panel.texture.shape[0] for axis in axes[:2])
             drawn = matplotlib.collections.EllipseCollection(
-                size[:, 0], size[:, 1], angle, units="xy", offsets=panel.uv, transOffset=ax.transData
+                major, minor, np.degrees(axes[2]), units="xy", offsets=panel.uv, transOffset=ax.transData
             )
             drawn.set(facecolor=panel.colour, edgecolor=panel.colour, alpha=0.55, linewidth=0.6)
             ax.add_collection(drawn)

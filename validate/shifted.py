@@ -12,9 +12,7 @@ from jaxtyping import Float
 from sdfbake.engine import Array, Engine
 from sdfrender.camera import AnyCamera
 from sdfrender.field import Field
-from sdfrender.rays import Beam
-from sdfrender.vector import Vector, along
-from sdfrender.viewing import Pixels, Start
+from sdfrender.viewing import CameraView, Pixels, Start, brought
 
 Shifts = tuple[tuple[int, int], ...]
 # Shifts are multiples of a quarter of a pixel, so that one picture of quarter pixels holds the truth for all of them.
@@ -49,23 +47,28 @@ class ShiftedView:
         return width, height * len(self.shifts)
 
     @property
+    def still(self) -> CameraView:
+        """The picture that is not moved."""
+        return CameraView(self.camera, self.per_axis, None)
+
+    @property
     def samples(self) -> int:
         """Samples per pixel."""
-        return self.per_axis**2
+        return self.still.samples
 
     @property
     def middle(self) -> int:
         """The sample in the middle of the pixel, or below it to the right."""
-        return (self.per_axis // 2) * (self.per_axis + 1)
+        return self.still.middle
 
     @property
     def step(self) -> float:
         """A sample's share of the pixel."""
-        return 1.0 / self.per_axis
+        return self.still.step
 
     def origins(self) -> Float[np.ndarray, "_ 3"]:
         """Where the camera stands."""
-        return np.array([self.camera.position], np.float64)
+        return self.still.origins()
 
     def columns(self, field: Field, samples: Pixels, pixels: Pixels) -> list[np.ndarray]:
         """Return film coordinates; for samples by powers of two they are exact in float32 too."""
@@ -78,12 +81,8 @@ class ShiftedView:
 
     def start(self, xp: Engine, field: Field, columns: tuple[Array, ...]) -> Start:
         """Return the beams, at the field's bounding sphere."""
-        wide = xp.at(64)
-        x, y = (wide.real(column) for column in columns)
-        far = self.camera.beam(wide, x, y, field.anchor, self.step)
-        ahead = wide.uniform(self.camera.clearance(field.bounds))
-        near = Beam(*(_narrowed(xp, vector) for vector in far._replace(p=along(far.p, far.d, ahead))))
-        return Start(near, xp.full(near.p[0], 0.0) + xp.real(ahead))
+        x, y = (xp.at(64).real(column) for column in columns)
+        return brought(xp, self.camera, field, (x, y), self.step)
 
 
 def parted(rows: Float[np.ndarray, "hs w c"], shifts: Shifts) -> Float[np.ndarray, "shifts h w c"]:
@@ -100,7 +99,3 @@ def moved(fine: Float[np.ndarray, "hf wf c"], shift: tuple[int, int]) -> Float[n
     turned = np.roll(fine, (-shift[1], -shift[0]), axis=(0, 1))
     height, width, channels = turned.shape
     return np.asarray(turned.reshape(height // FINE, FINE, width // FINE, FINE, channels).mean(axis=(1, 3)))
-
-
-def _narrowed(xp: Engine, vector: Vector) -> Vector:
-    return xp.real(vector[0]), xp.real(vector[1]), xp.real(vector[2])

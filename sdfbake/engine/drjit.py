@@ -32,17 +32,6 @@ def _backend() -> ModuleType:
     return llvm
 
 
-def _ad() -> ModuleType:
-    """The same arrays with automatic differentiation."""
-    if dr.has_backend(dr.JitBackend.CUDA):
-        from drjit import cuda
-
-        return cuda.ad
-    from drjit import llvm
-
-    return llvm.ad
-
-
 def _aligned(values: np.ndarray, kind: Any) -> np.ndarray:
     """Copy to memory that starts on a cache line.
 
@@ -85,7 +74,7 @@ class DrjitEngine:
 
     def differentiable(self) -> "DrjitEngine":
         """Return the engine whose arrays remember what is done to them, for `derivatives`."""
-        return DrjitEngine(self.precision, self.name, self.types if self.types.__name__.endswith(".ad") else _ad())
+        return DrjitEngine(self.precision, self.name, _backend().ad)
 
     def derivatives(
         self, program: Program, inputs: Sequence[np.ndarray]

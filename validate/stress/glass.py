@@ -21,6 +21,8 @@ from validate.stress.optical import (
     PLANE_NORMAL,
     PLANE_PLACE,
     SLOPE,
+    SPREAD,
+    USELESS,
     PerRay,
     Vectors,
     Way,
@@ -33,8 +35,6 @@ from validate.stress.optical import (
 )
 
 INDEX = 1.5
-SPREAD = 1e-3  # radians per pixel
-USELESS = 0.1  # of a footprint: beyond, no figure of it is worth having
 # c'^2 = 1 - eta^2 (1 - c^2) is off by 2 eta^2 c s of the normal's error, 2.25, and that is over 2 delta; half in c'.
 CRITICAL = 2.25 * PLANE_NORMAL / 4
 

@@ -23,6 +23,8 @@ from validate.stress.optical import (
     PLANE_NORMAL,
     PLANE_PLACE,
     SLOPE,
+    SPREAD,
+    USELESS,
     PerRay,
     Vectors,
     Way,
@@ -35,11 +37,9 @@ from validate.stress.optical import (
     relative,
 )
 
-SPREAD = 1e-3  # radians per pixel
 FAR = 3.0  # voxels from a ray's origin to the plane
 # J = FAR / cos: the cosine is off by the normal's error, t by the place's over FAR.
 GRAZE = PLANE_NORMAL + PLANE_PLACE / FAR
-USELESS = 0.1  # of a footprint: beyond, no figure of it is worth having
 
 
 def _planes(choice: Choice) -> dict[str, tuple[GridField, Vectors, Vectors]]:

@@ -18,13 +18,11 @@ from sdfbake.engine import Choice
 from sdfrender import GridField, Hits, Rays, reflect, transfer
 from validate.beam import Beam, MeshRays
 from validate.course import Course, Event, as_rays, defects
-from validate.identities import PerRay, perturbed
+from validate.identities import ROUNDINGS, PerRay, perturbed
 from validate.stress.case import Check, Finding
 
 MIRROR: tuple[Event, ...] = (None,)
 LEAST = 0.3  # cosine of the steepest rays
-# The identities hold to 1e-12 in float64; other precisions have as many roundings.
-ROUNDINGS = 1e-12 / float(np.finfo(np.float64).eps)
 # A Hessian's entry sums 64 products of coefficients of up to 6 voxels with weights that sum to 10, per h^2; in units
 # of 1 / r, with the roundings of three such and of a mirror:
 SUMS = 1000.0

@@ -21,6 +21,7 @@ from sdfbake import Grid
 from sdfbake.engine import Choice
 from sdfrender import GridField, Rays
 from validate.course import Course, Step, defects, follow
+from validate.identities import ROUNDINGS
 from validate.stress.case import Check, Finding
 
 Vectors = Float[np.ndarray, "n 3"]
@@ -28,6 +29,8 @@ PerRay = Float[np.ndarray, " n"]
 
 RADIUS = 8  # voxels, of a ball of radius 1
 MARGIN = 5  # voxels around a surface that no stencil reaches
+SPREAD = 1e-3  # radians per pixel
+USELESS = 0.1  # of a footprint: beyond, no figure of it is worth having
 # A ball: |p|^2 - 1 has M = 1.06 behind a hit, a gradient of 2, a Hessian of 2. The normal is good to
 # 30 u M (2 / h) / 2 = 130 eps, the curvature to 30 u M (4 / h^2) / 2 = 2040 eps, the radius to
 # (150 u M / 2 + 11 * 32 u h) = 62 eps.
@@ -35,9 +38,6 @@ BALL_NORMAL, BALL_CURVATURE, BALL_RADIUS = 130.0, 2040.0, 62.0
 # A plane: |g . x - c| / |g| is at most 2 voxels times |g|_1 / |g|, 3.4 for g = (2, 1, 2); the normal is good to
 # 30 u M 2 = 100 eps, the place to (150 u M + 11 N u) = 340 eps voxels for N = 16, 520 for N = 48.
 PLANE_NORMAL, PLANE_PLACE = 100.0, 520.0
-# The project's bound of the identities, 1e-12 in float64, as a function of eps. A step has some 30 products and sums of
-# numbers no greater than what it makes, which are 30 eps; what n, t and H are does not matter to it.
-IDENTITY = 1e-12 / float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +90,7 @@ class Way:
             every = np.maximum.reduce([slope * found.symplectic, found.direction, found.surface])
             return Finding(every.max(axis=0), self.rays)
 
-        yield Check(f"identities{about}", "relative", IDENTITY * self.eps, identities, lambda: self.course)
+        yield Check(f"identities{about}", "relative", ROUNDINGS * self.eps, identities, lambda: self.course)
 
 
 def unfinite(steps: tuple[Step, ...]) -> PerRay:

@@ -15,12 +15,11 @@ from sdfbake.engine import Choice
 from sdfrender import Flag, Rays
 from sdfrender.rays import COLUMNS
 from validate.course import Course, Step
-from validate.identities import direction_defect, perturbed, symplectic_defect
+from validate.identities import ROUNDINGS, direction_defect, perturbed, symplectic_defect
 from validate.stress.bounced import bounced
 from validate.stress.case import Case, Check, Finding
 from validate.stress.optical import (
     BALL_CURVATURE,
-    IDENTITY,
     MARGIN,
     PerRay,
     Vectors,
@@ -229,7 +228,7 @@ def stable(choice: Choice) -> Iterator[Check]:
     # Every bounce turns the beam's phase by as much as the curvature is off, in the same sense at worst.
     turn = min(LONG * SHORT_CURVATURE * eps, 0.1)
     yield check("on the axis: (dp, dd) against the power of the matrix", "relative", turn, power)
-    yield check("symplectic form, now against at first", "relative", IDENTITY * eps, drift)
+    yield check("symplectic form, now against at first", "relative", ROUNDINGS * eps, drift)
     # A mirror's n . n is off by 2 eps, and turns d into d (1 - 2 n . n).
     yield check("length of d, and d . dd", "relative", 8 * LONG * eps, lambda _, rays: direction_defect(rays))
     yield check("unfinite numbers", "count", 0.0, lambda _, rays: np.sum(~np.isfinite(rays.columns()), axis=0) * 1.0)

@@ -78,8 +78,7 @@ def _inspected(bench: Bench, blank: Run, view: View) -> Run:
 
 def _small(scene: Scene) -> Scene:
     film = scene.film.model_copy(update={"size": (SIZE, SIZE), "supersample": 1, "outputs": ("rgb",)})
-    assets = tuple(asset.model_copy(update={"uv": "faces"}) if asset.uv != "grid" else asset for asset in scene.assets)
-    return scene.model_copy(update={"film": film, "assets": assets})
+    return scene.model_copy(update={"film": film})
 
 
 def _references(bench: Bench, view: View, rays: Beam) -> dict[str, Seen]:
