@@ -6,6 +6,7 @@ Arrays are not read for it.
 
 from dataclasses import dataclass
 from math import sqrt
+from pathlib import Path
 
 from sdfbake.complaint import BadInput
 from sdfbake.gridfile import head
@@ -43,18 +44,18 @@ class Offer:
     bake: str = ""
 
     @staticmethod
-    def of(asset: Asset) -> "Offer":
+    def of(grid: Path) -> "Offer":
         """Ask a grid's file; what does not exist yet can be baked with all that is wished for."""
-        if not asset.grid.is_file():
+        if not grid.is_file():
             return Offer()
-        lattice, metadata = head(asset.grid)
+        lattice, metadata = head(grid)
         resolution = metadata.options.get("resolution", max(lattice.shape))
         return Offer(
             uv_modes=tuple(metadata.uv_modes),
             parts=tuple(metadata.parts),
             tells_parts=len(metadata.parts) == 1 or not metadata.checksums or "part" in metadata.checksums,
             band=metadata.band,
-            bake=f"python -m sdfbake bake MESH -n {resolution} -o {asset.grid}",
+            bake=f"python -m sdfbake bake MESH -n {resolution} -o {grid}",
         )
 
     def command(self, modes: tuple[str, ...]) -> str:

@@ -40,7 +40,9 @@ def make_plan(scene: Scene, stored: Sequence[tuple[str, ...]] | None = None, *, 
     if stored is not None:
         offers = [Offer(modes) for modes in stored]
     else:
-        offers = [Offer() if unbaked else Offer.of(asset) for asset in scene.assets]
+        grids = [] if unbaked else dict.fromkeys(asset.grid for asset in scene.assets)
+        asked = {grid: Offer.of(grid) for grid in grids}
+        offers = [asked.get(asset.grid, Offer()) for asset in scene.assets]
     bare = used(scene, [offer.parts for offer in offers])
     facts = Facts.of(bare)
     _require_derivatives(scene, facts)

@@ -13,6 +13,8 @@ from jaxtyping import Int
 from sdfbake.complaint import BadInput
 from sdfbake.engine import Array, Choice, Engine, choose
 from sdfbake.gridfile import Reading, head, load_counted, nothing_read
+from sdfbake.lattice import Lattice
+from sdfbake.metadata import Metadata
 from sdfrender.assembly import Assembly
 from sdfrender.crossing import Bodies
 from sdfrender.environment import Environment
@@ -157,19 +159,19 @@ def _members(
         placed = [_placed(field, asset) for field, asset in zip(fields, scene.assets, strict=True)]
         return plan, Choice(fields[0].engine, "that of the given surface"), placed, ()
     plan, choice = make_plan(scene), choose(*engine)
-    for asset in plan.assets:  # a missing one is named before another is read
-        head(asset.grid)
+    # A missing file is named before another is read.
+    heads = {grid: head(grid) for grid in dict.fromkeys(asset.grid for asset in plan.assets)}
     # One field serves all places of a grid, if what is read for one of them is enough for the others.
     serving = [
         max((other for other in plan.assets if _serves(other, least)), key=lambda other: len(other.channels))
         for least in plan.assets
     ]
-    sights = _sights(scene, plan, view)
+    sights = _sights(scene, plan, view, [heads[asset.grid][0] for asset in plan.assets])
     members: list[Field | None] = [None] * len(serving)
     read = []
     for needs in dict.fromkeys(serving):
         places = [place for place, other in enumerate(serving) if other == needs]
-        found, reading = _load(scene, needs, choice, [sights[place] for place in places])
+        found, reading = _load(scene, needs, heads[needs.grid], choice, [sights[place] for place in places])
         read.append((needs.grid, reading))
         for place, field in zip(places, found, strict=True):
             members[place] = _placed(field, scene.assets[place])
@@ -181,12 +183,11 @@ def _serves(other: AssetPlan, needs: AssetPlan) -> bool:
     return other.grid == needs.grid and enough
 
 
-def _sights(scene: Scene, plan: Plan, view: View) -> list[Sight | None]:
+def _sights(scene: Scene, plan: Plan, view: View, lattices: Sequence[Lattice]) -> list[Sight | None]:
     """Return what is seen of the grid of every asset; None for all of it."""
     around = frusta(view) if all(asset.in_sight for asset in plan.assets) else None
     if around is None:
         return [None] * len(plan.assets)
-    lattices = [head(asset.grid)[0] for asset in plan.assets]
     placed = [asset.placed() for asset in scene.assets]
     boxes = np.stack([place.bounds(lattice.bounds) for place, lattice in zip(placed, lattices, strict=True)])
     size = float(np.linalg.norm(boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)))
@@ -194,11 +195,11 @@ def _sights(scene: Scene, plan: Plan, view: View) -> list[Sight | None]:
 
 
 def _load(
-    scene: Scene, needs: AssetPlan, choice: Choice, sights: Sequence[Sight | None]
+    scene: Scene, needs: AssetPlan, told: tuple[Lattice, Metadata], choice: Choice, sights: Sequence[Sight | None]
 ) -> tuple[list[Field], Reading]:
     """Load a grid for all its places: one field, and where nothing of it is in sight, none."""
     seen = [sight for sight in sights if sight is not None]
-    lattice, metadata = head(needs.grid)
+    lattice, metadata = told
     met = [sight is None or sight.meets_lattice(lattice) for sight in sights]
     unseen = Unseen(lattice, metadata, choice.engine, needs.uv_mode)
     if not any(met):

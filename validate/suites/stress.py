@@ -5,6 +5,7 @@ In: nothing of the build. Out: an error run per case, check and engine, with the
 
 import importlib
 from collections.abc import Iterator
+from functools import cache
 
 from sdfbake.complaint import BadInput
 from validate.experiment import Bench, Run
@@ -13,6 +14,7 @@ from validate.stress.case import Case
 from validate.stress.outcome import outcomes, usable
 
 
+@cache
 def cases() -> dict[str, Case]:
     """All cases by name, in the order of the report."""
     found: dict[str, Case] = {}
