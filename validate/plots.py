@@ -168,7 +168,8 @@ def ellipses(panels: Sequence[Ellipses], magnified: float) -> str:
             faded = 255 - (255 - panel.texture[::2, ::2].astype(np.float64)) * 0.35
             ax.imshow(faded.astype(np.uint8), extent=(0, 1, 0, 1), interpolation="antialiased")
             # Half axes of a circle of radius 1 are the axes of one of diameter 1.
-            axes = ellipse(*np.moveaxis(panel.jacobian.astype(np.float64), 2, 0), size=(1, 1))
+            dx, dy = np.moveaxis(panel.jacobian.astype(np.float64), 2, 0)
+            axes = ellipse(dx, dy, (1, 1))
             major, minor = (magnified * axis / panel.texture.shape[0] for axis in axes[:2])
             drawn = matplotlib.collections.EllipseCollection(
                 major, minor, np.degrees(axes[2]), units="xy", offsets=panel.uv, transOffset=ax.transData

@@ -8,9 +8,10 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from sdfrender import Camera, Field, Rays, footprint, reflect, transfer
+from sdfrender import Camera, Field, footprint, reflect, transfer
 from validate import metrics
 from validate.beam import Beam, only
+from validate.course import as_rays
 from validate.metrics import Seen
 
 # Texels along either side of the texture that footprints are measured in.
@@ -76,12 +77,12 @@ def through_field(field: Field, rays: Beam, bounces: int, voxel: float) -> tuple
     Rays that miss on the way are dropped at once, and are misses of the last hop.
     """
     alive = np.arange(len(rays.p))
-    hits, at = transfer(field, _rays(rays))
+    hits, at = transfer(field, as_rays(rays))
     for _ in range(bounces):
         hit = np.flatnonzero(hits.hit)
         mirrored = reflect(field, hits, at)
         alive = alive[hit]
-        hits, at = transfer(field, _rays(only(mirrored, hit)), on_surface=True)
+        hits, at = transfer(field, as_rays(only(mirrored, hit)), on_surface=True)
     prints = footprint(field, hits, at, size=(TEXELS, TEXELS))
     count = len(rays.p)
     jacobian = metrics.footprint(prints.duv_dx, prints.duv_dy, TEXELS)
@@ -102,7 +103,3 @@ def _spread(values: np.ndarray, where: Int[np.ndarray, " m"], count: int, blank:
     out = np.full((count, *values.shape[1:]), blank, values.dtype)
     out[where] = values
     return out
-
-
-def _rays(beam: Beam) -> Rays:
-    return Rays(beam.p, beam.d, beam.dp_dx, beam.dp_dy, beam.dd_dx, beam.dd_dy)

@@ -20,6 +20,7 @@ from sdfrender import Camera, Field, GridField, Rays, reflect, transfer
 from validate.beam import Beam, MeshRays, only
 from validate.closed import ExactReference
 from validate.counters import Counters
+from validate.course import as_rays
 from validate.embree import MeshReference
 from validate.experiment import Bench, Run, guarded, timed
 from validate.metrics import summary
@@ -151,8 +152,8 @@ def _truth(problem: Problem) -> Bounced:
 def field_tracer(field: Field) -> Tracer:
     """The renderer on a field."""
     return Tracer(
-        lambda rays, left: transfer(field, _rays(rays), on_surface=left is not None),
-        lambda hits, at: reflect(field, hits, _rays(at)),
+        lambda rays, left: transfer(field, as_rays(rays), on_surface=left is not None),
+        lambda hits, at: reflect(field, hits, as_rays(at)),
     )
 
 
@@ -237,7 +238,3 @@ def _mesh(problem: Problem, edge: float, size: int) -> Iterator[Run]:
 
 def _turning(rays: Beam) -> Float[np.ndarray, "n 3 2"]:
     return np.stack([rays.dd_dx, rays.dd_dy], axis=2)
-
-
-def _rays(beam: Beam) -> Rays:
-    return Rays(beam.p, beam.d, beam.dp_dx, beam.dp_dy, beam.dd_dx, beam.dd_dy)

@@ -20,6 +20,7 @@ from validate.bar import Bar, coverage, error_bar
 from validate.beam import Beam, only
 from validate.closed import ExactReference
 from validate.compare import compare
+from validate.course import as_rays
 from validate.experiment import Bench, Run, guarded
 from validate.metrics import Seen, jacobian_error, summary
 from validate.reflected import frames, on_environment
@@ -120,7 +121,7 @@ def _direct(field: GridField, rays: Beam) -> tuple[Seen, Int[np.ndarray, " m"]]:
 
 
 def _mirror(field: GridField, rays: Beam, frame: Float[np.ndarray, "m 2 3"]) -> tuple[Seen, Int[np.ndarray, " m"]]:
-    hits, at = transfer(field, Rays(rays.p, rays.d, rays.dp_dx, rays.dp_dy, rays.dd_dx, rays.dd_dy))
+    hits, at = transfer(field, as_rays(rays))
     mirrored = reflect(field, hits, at)
     return on_environment(hits.hit, hits.t, hits.n, mirrored, frame, field.grid.lattice.spacing), hits.flags
 
