@@ -247,9 +247,14 @@ def _resonator(bounces: int) -> Matrix:
 
 def _strayed(begin: Rays, rays: Rays) -> PerRay:
     """Distance from the axis over the greatest that a paraxial ray has at a mirror; on the axis, over a voxel."""
-    reach = max(abs(_resonator(number)[0, 0]) for number in range(1, LONG + 1))
     start, now = (np.hypot(*bundle.p[:, :2].T) for bundle in (begin, rays))
-    return np.asarray(now / np.where(start > 0, reach * start, 1 / 16))
+    return np.asarray(now / np.where(start > 0, _reach() * start, 1 / 16))
+
+
+@cache
+def _reach() -> float:
+    """How far a paraxial ray comes from the axis at a mirror, over how far it starts, at most."""
+    return float(max(abs(_resonator(number)[0, 0]) for number in range(1, LONG + 1)))
 
 
 CASES = (
