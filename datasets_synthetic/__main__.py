@@ -56,11 +56,12 @@ def make(name: str, output: Path, edge: float | None) -> None:
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Grid file, .zarr.zip.")
 @click.option("--uv-mode", type=click.Choice(["none", "grid"]), default="grid", show_default=True)
 @click.option("--cube", is_flag=True, help="The same number of samples along every axis.")
-def sample(name: str, resolution: int, output: Path, uv_mode: str, *, cube: bool) -> None:
+@click.option("--levels", type=int, default=0, show_default=True, help="Coarser levels to sample too.")
+def sample(name: str, resolution: int, output: Path, uv_mode: str, levels: int, *, cube: bool) -> None:
     """Sample the exact shape NAME to a grid, so that no facets speak for the method."""
     from sdfbake.grid import Grid
 
-    Grid.from_function(registry.shape(name), resolution, uv_mode=uv_mode, cube=cube).save(output)
+    Grid.from_function(registry.shape(name), resolution, uv_mode=uv_mode, cube=cube, levels=levels).save(output)
 
 
 @cli.command()

@@ -19,7 +19,7 @@ _BRICKS_AT_ONCE = 4096
 # Of the metadata: what says how a file came to be written, not what it holds,
 _UNTOLD = {"format_version", "tool_version", "checksums"}
 # and where the numbers come from rather than what they mean: two ways to the same numbers are no difference of grids.
-_ORIGIN = {"source", "mesh_hash", "sign", "options", "edge_over_h", "overflow"}
+_ORIGIN = {"source", "mesh_hash", "sign", "options", "edge_over_h", "overflow", "stretch"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +70,10 @@ class Difference:
         Channels of one only.
     tables
         Other arrays (bounds of absent bricks, error estimates, faces, layers) whose bits differ.
+    levels
+        The same of the coarser levels that both have.
+    levels_only_a, levels_only_b
+        How many levels only one has.
     """
 
     metadata: dict[str, tuple[Any, Any]]
@@ -81,6 +85,9 @@ class Difference:
     channels_only_a: tuple[str, ...]
     channels_only_b: tuple[str, ...]
     tables: tuple[str, ...]
+    levels: tuple["Difference", ...] = ()
+    levels_only_a: int = 0
+    levels_only_b: int = 0
 
     def within(self, tolerance: float) -> bool:
         """Say whether the grids are the same.
@@ -94,6 +101,8 @@ class Difference:
         """
         if self.unmatched or self.channels_only_a or self.channels_only_b or set(self.metadata) - _ORIGIN:
             return False
+        if self.levels_only_a or self.levels_only_b or not all(level.within(tolerance) for level in self.levels):
+            return False
         if tolerance == 0:
             untouched = all(channel.anywhere == 0 for channel in self.channels.values())
             return untouched and not (self.metadata or self.tables or self.only_a or self.only_b)
@@ -106,7 +115,7 @@ class Difference:
         """Return plain data for JSON."""
         entries = {name: {"a": a, "b": b} for name, (a, b) in self.metadata.items()}
         names = {name: list(getattr(self, name)) for name in ("channels_only_a", "channels_only_b", "tables")}
-        return {**asdict(self), **names, "metadata": entries}
+        return {**asdict(self), **names, "metadata": entries, "levels": [level.record() for level in self.levels]}
 
 
 def compare(a: Grid, b: Grid) -> Difference:
@@ -144,6 +153,9 @@ def compare(a: Grid, b: Grid) -> Difference:
             for name in sorted(tables_a | tables_b)
             if name not in tables_a or name not in tables_b or not _same_bits(tables_a[name], tables_b[name])
         ),
+        tuple(compare(one, other) for one, other in zip(a.levels, b.levels, strict=False)),
+        max(len(a.levels) - len(b.levels), 0),
+        max(len(b.levels) - len(a.levels), 0),
     )
 
 

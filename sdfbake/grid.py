@@ -4,7 +4,7 @@ In: an exact shape, a dense array, or what a bake computed. Out: a frozen `Grid`
 """
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +65,9 @@ class Grid:
         two places of one in eight cells with surface, voxels, float32; 0 where the brick has none of those. None where
         there is
         nothing to compare with.
+    levels
+        The same surface on coarser lattices, each of every second node of the one before, with bands of their own
+        voxels: values at nodes that levels share are the same, bit for bit.
     """
 
     lattice: Lattice
@@ -78,6 +81,7 @@ class Grid:
     surface: FaceTable | None = None
     layers: Layers | None = None
     error: Float[np.ndarray, "k 3"] | None = None
+    levels: tuple["Grid", ...] = ()
 
     def __post_init__(self) -> None:
         if self.bricks.slot.shape != brick.counts(self.lattice.shape):
@@ -88,6 +92,11 @@ class Grid:
                 raise ValueError(f"{name} is {values.dtype}{values.shape}, expected {kind}{shape}")
         if (self.face is None) != (self.surface is None):
             raise ValueError("face ids and the table of faces come together")
+        lattice = self.lattice
+        for level in self.levels:
+            lattice = lattice.coarser()
+            if not level.lattice.is_same(lattice) or level.levels:
+                raise ValueError("a level does not lie on every second node of the one before, or has levels itself")
 
     @staticmethod
     def from_function(
@@ -97,6 +106,7 @@ class Grid:
         uv_mode: str = "grid",
         lattice: Lattice | None = None,
         cube: bool = False,
+        levels: int = 0,
     ) -> "Grid":
         """Sample an exact shape sparsely.
 
@@ -112,35 +122,30 @@ class Grid:
             Where to sample; by default the shape's bounds and the band.
         cube
             Give every axis the same number of samples.
+        levels
+            As many coarser ones; a lattice that is given must have room for them (`Lattice.around`).
 
         Raises
         ------
         BadInput
-            For a resolution outside 16..8192, an unknown mode, or a shape that answers with NaN or infinity.
+            For a resolution outside 16..8192, an unknown mode, too many levels, or a shape that answers with NaN or
+            infinity.
         """
         if uv_mode not in ("none", "grid"):
             raise BadInput(f"uv_mode {uv_mode!r} is not available for exact shapes: use 'none' or 'grid'")
         if lattice is None:
             if resolution is None:
                 raise BadInput("neither a resolution nor a lattice was given: give one, such as resolution=64")
-            lattice = Lattice.around(shape.bounds, resolution, cube=cube)
-        found = brick.candidates(lattice, shape.distance)
-        values = brick.sampled(lattice, found[0], shape.distance, _blank(len(found[0]), "distance"))
-        if not np.isfinite(values).all():
-            raise BadInput("the shape's distance is NaN or infinite at some samples: it must be finite everywhere")
-        bricks, kept = brick.settle(lattice, found, values)
-        near = np.abs(values[kept]) <= brick.REACH * lattice.spacing
-        channels = _surface_channels(shape, lattice, bricks, near) if uv_mode == "grid" else {}
-        part = _part_channel(shape, lattice, bricks, near)
-        chart = channels.get("chart")
-        metadata = Metadata(
-            source="function",
-            parts=shape.part_names if isinstance(shape, Charted) else ("surface",),
-            charts=0 if uv_mode == "none" else 1 if chart is None else int(chart.max(initial=0)) + 1,
-            uv_modes=("grid",) if uv_mode == "grid" else (),
-            options={"resolution": max(lattice.shape), "cube": cube},
-        )
-        return Grid(lattice, bricks, values[kept], channels.get("uv"), chart, part, metadata)
+            lattice = Lattice.around(shape.bounds, resolution, cube=cube, levels=levels)
+        options: dict[str, str | int | float | bool | None] = {"resolution": max(lattice.shape), "cube": cube}
+        if levels:
+            options |= {"resolution": resolution, "levels": levels}
+        finest = _from_function(shape, lattice, uv_mode, options)
+        coarser = []
+        for _ in range(levels):
+            lattice = lattice.coarser()
+            coarser.append(_from_function(shape, lattice, uv_mode, options))
+        return replace(finest, levels=tuple(coarser))
 
     @staticmethod
     def from_dense(
@@ -205,11 +210,13 @@ class Grid:
         path: str | Path,
         channels: Collection[str] | None = None,
         bricks: Callable[[Lattice, Bricks], Bool[np.ndarray, " k"]] | None = None,
+        *,
+        levels: bool = True,
     ) -> "Grid":
-        """Read a grid, or only some of its channels and bricks; see `sdfbake.gridfile.load`."""
+        """Read a grid, or only some of its channels and bricks, without its levels; see `sdfbake.gridfile.load`."""
         from sdfbake.gridfile import load
 
-        return load(path, channels, bricks)
+        return load(path, channels, bricks, levels=levels)
 
     def to_dense(
         self, exact: Mesh | bool = False, progress: Callable[[str, float], None] | None = None
@@ -233,6 +240,29 @@ class Grid:
         slot, i, j, k = np.nonzero(near)
         at = self.bricks.index[slot].astype(np.int64) * SIDE + np.stack([i, j, k], axis=-1)
         return self.lattice.to_world(at), self.distance[near]
+
+
+def _from_function(
+    shape: Shape, lattice: Lattice, uv_mode: str, options: dict[str, str | int | float | bool | None]
+) -> Grid:
+    """Sample an exact shape on one lattice."""
+    found = brick.candidates(lattice, shape.distance)
+    values = brick.sampled(lattice, found[0], shape.distance, _blank(len(found[0]), "distance"))
+    if not np.isfinite(values).all():
+        raise BadInput("the shape's distance is NaN or infinite at some samples: it must be finite everywhere")
+    bricks, kept = brick.settle(lattice, found, values)
+    near = np.abs(values[kept]) <= brick.REACH * lattice.spacing
+    channels = _surface_channels(shape, lattice, bricks, near) if uv_mode == "grid" else {}
+    part = _part_channel(shape, lattice, bricks, near)
+    chart = channels.get("chart")
+    metadata = Metadata(
+        source="function",
+        parts=shape.part_names if isinstance(shape, Charted) else ("surface",),
+        charts=0 if uv_mode == "none" else 1 if chart is None else int(chart.max(initial=0)) + 1,
+        uv_modes=("grid",) if uv_mode == "grid" else (),
+        options=options,
+    )
+    return Grid(lattice, bricks, values[kept], channels.get("uv"), chart, part, metadata)
 
 
 def _blank(count: int, channel: str) -> np.ndarray:

@@ -10,6 +10,7 @@ import struct
 import zipfile
 from collections.abc import Collection
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -20,7 +21,7 @@ from jaxtyping import Int
 from numcodecs import blosc
 
 from sdfbake.bricks import counts
-from sdfbake.gridlayout import DATA_TYPES, LAYOUT, chunks, counted, is_chunk
+from sdfbake.gridlayout import DATA_TYPES, LAYOUT, chunks, counted, is_chunk, is_lent
 from sdfbake.lattice import Lattice
 
 # Decoded bytes per byte of file. A table of empty space shrinks a thousandfold at most; more is a bomb.
@@ -49,17 +50,26 @@ class Archive:
         Bytes of the file.
     read
         Bytes of the entries that were read, by the name of their array; the empty name is the head's.
+    prefix
+        What the names of a level's entries begin with.
     """
 
     def __init__(self, file: zipfile.ZipFile, path: Path) -> None:
-        self.file, self.size = file, path.stat().st_size
+        self.file, self.size, self.prefix = file, path.stat().st_size, ""
         self.read: dict[str, int] = {}
         entries = {info.filename: info for info in file.infolist()}
         require(sum(info.file_size for info in entries.values()) <= self.size, "the sizes of its entries")
 
+    def within(self, prefix: str) -> "Archive":
+        """Return the entries of a level; what is read of them is counted with the others."""
+        found = copy(self)
+        found.prefix = prefix
+        return found
+
     def entry(self, name: str, rest: str, most: int | None = None) -> bytes:
         """Read an entry of an array whole, so that its CRC-32 is checked; it has at most so many bytes."""
-        info = self.file.getinfo(f"{name}/{rest}" if name else rest)
+        prefix = "" if is_lent(name) else self.prefix
+        info = self.file.getinfo(prefix + (f"{name}/{rest}" if name else rest))
         plain = info.compress_type == zipfile.ZIP_STORED and (most is None or info.file_size <= most)
         require(plain, "the size of a document" if rest == "zarr.json" else "a chunk's header")
         self.read[name] = self.read.get(name, 0) + info.file_size

@@ -46,6 +46,16 @@ _TABLE_CHUNK = 64
 _BRICKS_CHUNK = 16
 
 
+def level_prefix(number: int) -> str:
+    """Return what the names of a coarser level's entries begin with; of the finest nothing."""
+    return f"level{number}/" if number else ""
+
+
+def is_lent(name: str) -> bool:
+    """Say whether an array is stored once for all levels: the table of faces, which no lattice changes."""
+    return name.startswith("surface.")
+
+
 def chunks(name: str, shape: tuple[int, ...]) -> tuple[int, ...]:
     """Return the chunk shape of an array.
 

@@ -15,6 +15,7 @@ from sdfbake.complaint import BadInput
 # voxels from the surface.
 BAND = 5.2
 LEAST, MOST = 16, 8192
+_MOST_LEVELS = 9  # a grid of 8192 samples has 16 then
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +48,7 @@ class Lattice:
             raise BadInput(f"a lattice of {self.shape} samples has no cell: give at least 2 samples along every axis")
 
     @staticmethod
-    def around(bounds: Float[np.ndarray, "2 3"], resolution: int, *, cube: bool = False) -> "Lattice":
+    def around(bounds: Float[np.ndarray, "2 3"], resolution: int, *, cube: bool = False, levels: int = 0) -> "Lattice":
         """Return the lattice of a box plus the band on every side.
 
         Parameters
@@ -58,11 +59,15 @@ class Lattice:
             Samples along the longest axis; spacing = extent / (resolution - 1 - 2 BAND).
         cube
             Give every axis that many samples.
+        levels
+            Make room for as many coarser lattices on the same nodes: the band around the box is that of the coarsest,
+            and every axis has a multiple of 2^levels cells. The spacing is the same as without.
 
         Raises
         ------
         BadInput
-            If the resolution is outside 16..8192, or the box is empty or not finite.
+            If the resolution is outside 16..8192, the box is empty or not finite, or the coarsest lattice would have
+            fewer than 16 samples along its longest axis.
 
         Examples
         --------
@@ -78,9 +83,31 @@ class Lattice:
         # A thousandth of a voxel of slack, so that a cube is not given one sample more along one axis by rounding.
         count = np.ceil(extent / spacing + 2 * BAND - 1e-3).astype(int) + 1
         count = np.full(3, n) if cube else np.minimum(count, n)
+        if levels:
+            step = 1 << check_levels(levels)
+            count = step * np.ceil((count - 1 - 2 * BAND) / step + 2 * BAND - 1e-3).astype(int) + 1
+            _require_coarsest(int((count.max() - 1) // step + 1), n, levels)
         origin = (low + high) / 2 - spacing * (count - 1) / 2
         nx, ny, nz = count.tolist()
         return Lattice(origin, float(spacing), (nx, ny, nz))
+
+    def coarser(self) -> "Lattice":
+        """Return the lattice of every second node.
+
+        Raises
+        ------
+        ValueError
+            If an axis has an odd number of cells: then the last node would be left out.
+        """
+        if any(n % 2 == 0 for n in self.shape):
+            raise ValueError(f"a lattice of {self.shape} samples has no coarser one on its nodes")
+        nx, ny, nz = (n // 2 + 1 for n in self.shape)
+        return Lattice(self.origin, 2 * self.spacing, (nx, ny, nz))
+
+    def is_same(self, other: "Lattice") -> bool:
+        """Say whether another lattice has the same nodes, bit for bit."""
+        same = self.shape == other.shape and self.spacing == other.spacing
+        return same and bool((self.origin == other.origin).all())
 
     def to_grid(self, p: Num[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         """Return grid coordinates of world points: (p - origin) / spacing."""
@@ -96,6 +123,22 @@ class Lattice:
     def bounds(self) -> Float[np.ndarray, "2 3"]:
         """First and last sample, world."""
         return self.to_world(np.array([[0, 0, 0], self.shape]) - [[0], [1]])
+
+
+def _require_coarsest(samples: int, resolution: int, levels: int) -> None:
+    """Raise BadInput where the coarsest of several lattices has too few samples along its longest axis."""
+    if samples < LEAST:
+        raise BadInput(
+            f"{levels} coarser levels of a grid of {resolution} samples leave {samples} along the longest axis and at "
+            f"least {LEAST} are needed: ask for fewer levels"
+        )
+
+
+def check_levels(levels: int) -> int:
+    """Return the number of coarser levels if a bake can have as many, else raise BadInput."""
+    if not 0 <= levels <= _MOST_LEVELS:
+        raise BadInput(f"{levels} coarser levels are outside 0..{_MOST_LEVELS}: ask for 3, or for none")
+    return integer(levels)
 
 
 def check_resolution(resolution: int) -> int:

@@ -75,6 +75,9 @@ class Metadata(BaseModel):
         What the bake was asked for.
     edge_over_h
         Median edge of the mesh in voxels; above 1, reflections look faceted. None for other sources.
+    stretch
+        Least and greatest singular value of d(uv)/d(position) over the faces, per world unit, where texture coordinates
+        are stored as faces and every place of the surface lies on some; None elsewhere, and in older files.
     checksums
         SHA-256 per stored array, filled when the grid is saved.
     """
@@ -95,4 +98,5 @@ class Metadata(BaseModel):
     texture: str | None = None
     options: dict[str, str | int | float | bool | None] = {}
     edge_over_h: float | None = None
+    stretch: tuple[float, float] | None = None
     checksums: dict[str, str] = {}

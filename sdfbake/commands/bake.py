@@ -33,6 +33,7 @@ AUTO = "auto"
 @click.option("--sign", default="auto", show_default=True, help="auto, winding or pseudonormal.")
 @click.option("--open", help="For meshes with holes: winding, or shell:THICKNESS in the mesh's units.")
 @click.option("--smooth", default="none", show_default=True, help="none, or ls3: the surface that the mesh stands for.")
+@click.option("--levels", type=int, default=0, show_default=True, help="Coarser levels to bake too, each half as fine.")
 @click.option("--engine", default="auto", show_default=True, help="auto, numpy or drjit.")
 @click.option("--unwrap", "unwrapped", is_flag=True, help="Unwrap a mesh that has no texture coordinates.")
 @click.option("--max-memory", type=float, help="Gigabytes allowed; by default what the machine has available.")

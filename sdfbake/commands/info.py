@@ -25,18 +25,27 @@ def describe(grid: Grid, path: Path) -> dict[str, Any]:
     """Return what `info` says of a grid."""
     from sdfbake.gridfile import stored_bytes
 
-    lattice, metadata = grid.lattice, grid.metadata
+    lattice, metadata, stored = grid.lattice, grid.metadata, stored_bytes(path)
     near = np.abs(grid.distance) <= lattice.spacing * 3**0.5
     seams = seam_cells(grid)[near] if metadata.uv_modes and metadata.uv_modes != ("layers",) else None
     inside = bricks.in_lattice(grid.bricks.index, lattice.shape)
     return {
         "file": str(path),
         "bytes": path.stat().st_size,
-        "bytes_per_array": stored_bytes(path),
+        "bytes_per_array": stored,
         "lattice": {"origin": lattice.origin.tolist(), "spacing": lattice.spacing, "shape": list(lattice.shape)},
         "units": metadata.units,
         "bricks": len(grid.bricks),
         "samples": int(np.count_nonzero(inside)),
+        "levels": [
+            {
+                "spacing": level.lattice.spacing,
+                "shape": list(level.lattice.shape),
+                "bricks": len(level.bricks),
+                "bytes": stored[f"level{number}"],
+            }
+            for number, level in enumerate(grid.levels, 1)
+        ],
         "source": metadata.source,
         "sign": metadata.sign.model_dump(),
         "parts": list(metadata.parts),
