@@ -8,17 +8,17 @@ from pathlib import Path
 import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from sdfbake.atomic import check_writable
 from sdfbake.commandline import print_json, run
 from sdfbake.complaint import BadInput
+from sdfrender.forecast import forecast
 from sdfrender.image import CHANNELS, write_exr, write_png
 from sdfrender.plan import make_plan
-from sdfrender.planned import Capability, Plan
+from sdfrender.plantable import capabilities, totals
 from sdfrender.rayfile import read_rays
 from sdfrender.render import shoot
-from sdfrender.scene import load_scene
+from sdfrender.scene import LEVELS, load_scene
 from sdfrender.stage import Stage, prepare
 
 
@@ -53,6 +53,7 @@ def _outputs(_context: click.Context, _parameter: click.Parameter, text: str | N
 @click.option("--size", callback=_size, help="WxH in pixels, in place of the scene's.")
 @click.option("--outputs", callback=_outputs, help="Comma-separated outputs, in place of the scene's.")
 @click.option("--kernel", help="linear, catmull-rom or bspline, in place of the scene's.")
+@click.option("--levels", type=click.Choice(LEVELS), help="Which level of a grid rays meet, in place of the scene's.")
 @click.option("--engine", default="auto", show_default=True, help="auto, numpy or drjit.")
 @click.option("--precision", type=int, help="32 or 64 bits; 64 on numpy, 32 on drjit by default.")
 @click.option("--rays", type=click.Path(path_type=Path), help="Rays to trace, .npz or .csv, in place of the camera's.")
@@ -64,6 +65,7 @@ def render(
     size: tuple[int, int] | None,
     outputs: tuple[str, ...] | None,
     kernel: str | None,
+    levels: str | None,
     engine: str,
     precision: int | None,
     rays: Path | None,
@@ -71,7 +73,7 @@ def render(
 ) -> None:
     """Render SCENE, a TOML file."""
     start = time.perf_counter()
-    chosen = load_scene(scene).with_(size=size, outputs=outputs, kernel=kernel)
+    chosen = load_scene(scene).with_(size=size, outputs=outputs, kernel=kernel, levels=levels)
     if png is not None and "rgb" not in chosen.film.outputs:
         raise BadInput("--png shows the output rgb, which is not asked for: add rgb to --outputs")
     if rays is not None and size is not None:
@@ -134,33 +136,11 @@ def plan(scene: Path, needs: Path | None, as_json: bool) -> None:
         check_writable(needs)
         needs_of(loaded).save(needs)
     made = make_plan(loaded, unbaked=needs is not None)
+    found = forecast(loaded, made) if needs is None else None
     if as_json:
-        print_json(made.record())
+        print_json((found or made).record())
     else:
-        Console().print(_table(made))
-
-
-def _table(made: Plan) -> Table:
-    table = Table("what", "", "why", "bytes unread", "time saved", title="plan")
-    orders = ["nothing" if order is None else ("value", "gradient", "Hessian")[order] for order in made.orders]
-    same = len(orders) > 1 and len(set(orders)) == 1
-    table.add_row("jets", f"{orders[0]}, {len(orders)} times" if same else ", ".join(orders), "per hit of a path")
-    for asset in made.assets:
-        how = "" if asset.uv_mode is None else f"; texture coordinates as {asset.uv_mode}"
-        table.add_row(Path(asset.grid).name, ", ".join(asset.channels), f"channels read{how}")
-    table.add_row("outputs", ", ".join(made.outputs), "asked for")
-    for known in made.capabilities:
-        size = f"{known.bytes:,}" if known.bytes else ""
-        table.add_row(known.what, known.how or "left out", known.reason, size, _saved(known))
-    table.caption = "time saved: estimated, as a share of the tracing time of this plan, on Dr.Jit and on NumPy"
-    return table
-
-
-def _saved(known: Capability) -> str:
-    if known.saving is None:
-        return ""
-    drjit, numpy = (f"{share:.0%}" if share >= 0.01 else "<1%" for share in (known.saving.drjit, known.saving.numpy))
-    return drjit if drjit == numpy else f"{drjit}, {numpy}"
+        Console().print(capabilities(found.plan if found else made), *([totals(found)] if found else []))
 
 
 def _progress() -> Progress:

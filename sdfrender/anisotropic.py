@@ -21,10 +21,14 @@ MOST_TEXELS = 1e9  # per pixel: the square of a variance of that is still a floa
 
 
 class Pyramid(NamedTuple):
-    """Which of the texels' levels are a pyramid: the number of the finest, and of the last."""
+    """Which of the texels' levels are a pyramid: the number of the finest, and of the last.
+
+    Above the finest by `kept` or more are those whose texels are there.
+    """
 
     first: Array
     last: Array
+    kept: Array | int = 0
 
 
 class Moments(NamedTuple):
@@ -100,12 +104,12 @@ def elliptical(
     share = xp.minimum(xp.maximum(longest, 0.0), 1.0)
     widened = found.major * (1.0 / most**2)
     detail = 0.5 * xp.log2(xp.maximum(xp.maximum(found.minor, widened) * (1.0 / FINEST), 1e-30))
-    top = xp.real(pyramid.last - pyramid.first)
-    level = pyramid.first + xp.integer(xp.minimum(xp.maximum(detail, 0.0), top))
+    top, least = xp.real(pyramid.last - pyramid.first), xp.real(pyramid.kept)
+    level = pyramid.first + xp.integer(xp.minimum(xp.maximum(detail, least), top))
     wide, sharp = active & (share > 0), active & (share < 1)
     size = texels.size(xp, level, wide)
     mean = average(xp, texels, size, reach(xp, texels, uv, footprint, size, most), wide, linear=linear)
-    plain = texels.bilinear(xp, *uv, pyramid.first, sharp)
+    plain = texels.bilinear(xp, *uv, pyramid.first + pyramid.kept, sharp)
     colour = tuple(xp.where(share < 1, xp.fma(share, a - b, b), a) for a, b in zip(mean, plain, strict=True))
     return Look(colour, active & (longest < 0), wide & (detail >= top + 1.0), wide & (found.minor < widened))
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from sdfbake.engine import Array, Engine
 from sdfbake.engine.protocol import State
 from sdfbake.metadata import MODES
-from sdfrender.field import Field, Jet, Mapped, Spot
+from sdfrender.field import Field, Jet, Mapped, Spot, Spread
 from sdfrender.tables import three
 from sdfrender.uvmode import AUTO, EXACT, choose_mode
 from sdfrender.vector import Symmetric, Vector, add, select, subtract, zero
@@ -77,11 +77,13 @@ class Assembly:
         counts = np.cumsum([0, *(len(member.part_names) for member in members)])
         self._first_part = [self.engine.uniform(int(count)) for count in counts[:-1]]
 
-    def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
+    def first_hit(
+        self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None, spread: Spread | None = None
+    ) -> Spot:
         """Find the first of the members' first hits."""
         p = _origin(xp, p, start)
         spots = [
-            member.first_hit(xp, add(p, offset), d, active, left)
+            member.first_hit(xp, add(p, offset), d, active, left, spread)
             for member, offset, left in zip(self.members, self._offsets, self._lefts(start), strict=True)
         ]
         return self._merged(xp, spots, [spot.t for spot in spots])
@@ -107,7 +109,7 @@ class Assembly:
             for member, offset in zip(self.members, self._offsets, strict=True)
         ]
         nothing = (xp.full(p[0], 0.0),)
-        jets = [_asked(xp, spot, nothing, self._jet(xp, k, 0)) for k, spot in enumerate(spots)]
+        jets = [asked(xp, spot, nothing, self._jet(xp, k, 0)) for k, spot in enumerate(spots)]
         return self._merged(xp, spots, [xp.abs(value) for (value,) in jets])._replace(p=p)
 
     def _merged(self, xp: Engine, spots: list[Spot], keys: list[Array]) -> Spot:
@@ -140,7 +142,7 @@ class Assembly:
         nothing = zero(xp, spot.t)
         entries: tuple[Array, ...] = (nothing[0], nothing, Symmetric(*nothing, *nothing))[: order + 1]
         for k, share in enumerate(self._shares(spot)):
-            entries = _asked(xp, share, entries, self._jet(xp, k, order))
+            entries = asked(xp, share, entries, self._jet(xp, k, order))
         return Jet(*entries)
 
     def _jet(self, xp: Engine, k: int, order: int) -> Callable[[Spot], tuple[Array, ...]]:
@@ -167,14 +169,14 @@ class Assembly:
         known = () if n is None else (n,)
         for member, share in zip(self.members, self._shares(spot), strict=True):
             if member.uv_mode is not None:
-                mapped = _asked(xp, share, mapped, _mapping(xp, member), known)
+                mapped = asked(xp, share, mapped, _mapping(xp, member), known)
         return mapped
 
     def part_at(self, xp: Engine, spot: Spot) -> Array:
         """Part id at a place; -1 where nothing was hit."""
         parts = (xp.full(spot.t, -1),)
         for member, share, first in zip(self.members, self._shares(spot), self._first_part, strict=True):
-            parts = _asked(xp, share, parts, _numbering(xp, member, first))
+            parts = asked(xp, share, parts, _numbering(xp, member, first))
         return parts[0]
 
     def beyond_band(self, xp: Engine, spot: Spot) -> Array:
@@ -195,7 +197,7 @@ def _numbering(xp: Engine, member: Field, first: Array) -> Callable[[Spot], tupl
     return lambda spot: (first + member.part_at(xp, spot),)
 
 
-def _asked(xp: Engine, share: Spot, answer: State, ask: Callable[..., State], known: tuple[Vector, ...] = ()) -> State:
+def asked(xp: Engine, share: Spot, answer: State, ask: Callable[..., State], known: tuple[Vector, ...] = ()) -> State:
     """Ask a member about the places on it, and keep the answers for the others: they cost nothing on NumPy."""
 
     def body(state: tuple[State, Spot, tuple[Vector, ...]]) -> tuple[State, Spot, tuple[Vector, ...]]:

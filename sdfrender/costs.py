@@ -1,14 +1,22 @@
 """What things cost, roughly, so that a plan can say what it saves.
 
-In: how often a path does something. Out: shares of the planned tracing time. Nanoseconds per time were measured once,
-on two cores of a server: the bunny at 128, 147,456 rays on Dr.Jit and 9,216 on NumPy, three quarters of them hits, each
-figure the difference between two pictures of which one does one thing more. A surface of another form or size changes
-them all; their ratios less. So they are estimates, of one digit, and of a path that hits at every turn.
+In: how often a path does something, hit by hit, as counters would count it (`validate.counters`; tests/test_evaluations
+compares them). Out: nanoseconds and shares of the planned tracing time.
+
+What one time costs was measured once, on two cores of a server: the bunny at 128, 147,456 rays on Dr.Jit and 9,216 on
+NumPy, three quarters of them hits, the least of several runs, each figure the difference between two pictures of which
+one does one thing more, per hit: Z alone (a march, per ray); with N, with curvature (gradient, Hessian); with uv, by
+each representation; with lod (differentials); with a part; rgb with one texture, by each filter; with a light, with its
+shadow; and any output of one channel more, per pixel. A surface of another form or size changes them all; their ratios
+less. So they are estimates, of one digit, and of paths that hit at every turn. The suite `savings` of `validate` shows
+the shares that they give beside those that it measures.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
+from sdfrender.image import CHANNELS
 from sdfrender.planned import Plan, Saving
 
 
@@ -36,6 +44,52 @@ FILTER: Mapping[str, Cost] = {
     "checker": Cost(300.0, 10.0),
 }
 LIGHT, SHADOW = Cost(700.0, 20.0), Cost(8700.0, 75.0)
+RECORD = Cost(70.0, 10.0)  # a channel of an output, of a pixel
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluations:
+    """How often paths do what; `validate.counters` counts the first four by the same names.
+
+    Attributes
+    ----------
+    marches
+        Rays sent out, those to lights aside.
+    values, gradients, hessians
+        Jets, of their order and above.
+    parts, coordinates
+        Looks at the part of a hit, and at the texture coordinates where a path ends.
+    """
+
+    marches: float
+    values: float
+    gradients: float
+    hessians: float
+    parts: float
+    coordinates: float
+
+
+def evaluations(plan: Plan, sent: Sequence[float], met: Sequence[float], ended: float) -> Evaluations:
+    """Return what a plan does.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    sent, met
+        For the first, second, ... hit of a path how many rays are sent for it, and how many of them meet something.
+    ended
+        How many paths end on something that is neither mirror nor glass.
+    """
+    jets = [(order or 0, count) for order, count in zip(plan.orders, met, strict=True) if order is not None]
+    return Evaluations(
+        marches=sum(sent),
+        values=sum(count for _, count in jets),
+        gradients=sum(count for order, count in jets if order >= 1),
+        hessians=sum(count for order, count in jets if order == 2),
+        parts=sum(met) if plan.parts else 0,
+        coordinates=ended if plan.uv else 0,
+    )
 
 
 def total(*costs: Cost) -> Cost:
@@ -53,13 +107,21 @@ def of_plan(plan: Plan, lights: Cost, filters: Cost) -> Cost:
     lights, filters
         Of lights and of textures, where it ends.
     """
-    hits = len(plan.orders)
-    jets = [GRADIENT for order in plan.orders if order] + [HESSIAN for order in plan.orders if order == 2]
+    once = [1.0] * len(plan.orders)
+    done = evaluations(plan, once, once, 1.0)
     uv = [UV.get(asset.uv_mode, FREE) for asset in plan.assets if asset.uv_mode]
-    carried = DIFFERENTIALS.times(hits if plan.differentials else 0)
-    parts = PART.times(hits if plan.parts else 0)
     dearest = max(uv, key=lambda cost: cost.numpy, default=FREE)
-    return total(MARCH.times(hits), *jets, carried, parts, dearest, lights, filters)
+    return total(
+        MARCH.times(done.marches),
+        GRADIENT.times(done.gradients),
+        HESSIAN.times(done.hessians),
+        DIFFERENTIALS.times(len(once) if plan.differentials else 0),
+        PART.times(done.parts),
+        dearest.times(done.coordinates),
+        lights,
+        filters,
+        RECORD.times(sum(len(CHANNELS[output][0]) for output in plan.outputs)),
+    )
 
 
 def saving(extra: Cost, planned: Cost) -> Saving | None:

@@ -14,6 +14,7 @@ from sdfrender.scene import Asset, Scene
 IN_TEXELS = frozenset({"lod", "lod_invariant", "ellipse"})
 FOOTPRINT_OUTPUTS = IN_TEXELS | {"duv_dx", "duv_dy", "nonlinearity"}
 UV_OUTPUTS = FOOTPRINT_OUTPUTS | {"uv", "chart"}
+NO_COLOUR = "no colour is asked for"
 PATH_OUTPUTS = UV_OUTPUTS | {"rgb", "flags"}  # those that look beyond the first hit
 
 

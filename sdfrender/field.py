@@ -34,6 +34,15 @@ class Spot(NamedTuple):
     locator: tuple[Array, ...]
 
 
+class Spread(NamedTuple):
+    """How a ray's footprint grows: derivatives of its position, where the parameter is 0, and of its direction."""
+
+    dp_dx: Vector
+    dp_dy: Vector
+    dd_dx: Vector
+    dd_dy: Vector
+
+
 class Jet(NamedTuple):
     """Value and derivatives of the signed distance, world frame; None above the order that was asked for."""
 
@@ -82,11 +91,13 @@ class Field(Protocol):
         """Names of the parts."""
         ...
 
-    def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
+    def first_hit(
+        self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None, spread: Spread | None = None
+    ) -> Spot:
         """Find where rays first meet the surface.
 
         Rays with a `start` that is a hit leave that place, whatever `p`, and do not meet it again; the other active
-        rays start at `p`.
+        rays start at `p`. Only a surface with levels of detail looks at how they spread.
         """
         ...
 

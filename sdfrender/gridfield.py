@@ -13,7 +13,7 @@ from sdfbake.engine import Array, Choice, Engine, choose
 from sdfbake.grid import Grid
 from sdfbake.lattice import BAND
 from sdfrender.facemap import FaceMap
-from sdfrender.field import Jet, Mapped, Spot
+from sdfrender.field import Jet, Mapped, Spot, Spread
 from sdfrender.gridmap import GridMap
 from sdfrender.interpolation import contract
 from sdfrender.kernels import Kernel, kernel
@@ -127,7 +127,9 @@ class GridField:
         x, y, z = (((xp.real(cell[a]) - self._middle[a]) + u[a]) * self._spacing for a in range(3))
         return x, y, z
 
-    def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
+    def first_hit(
+        self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None, spread: Spread | None = None
+    ) -> Spot:
         """Find first hits; see `Field.first_hit`."""
         found = march(xp, self._tables, *self._rays(xp, p, d, active, start))
         return Spot(found.hit, found.t, self._to_local(found.cell, found.u), tuple(found))

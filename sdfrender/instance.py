@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sdfbake.engine import Array, Engine
-from sdfrender.field import Field, Jet, Mapped, Spot
+from sdfrender.field import Field, Jet, Mapped, Spot, Spread
 from sdfrender.similarity import Similarity
 from sdfrender.tables import three
 from sdfrender.vector import Symmetric, Vector, apply, dot, scale
@@ -67,10 +67,13 @@ class Instance:
         """How the inner field knows texture coordinates."""
         return self.field.uv_mode
 
-    def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
+    def first_hit(
+        self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None, spread: Spread | None = None
+    ) -> Spot:
         """Find first hits; a ray parameter is the same in both frames, as the direction is scaled with the ray."""
         inner = None if start is None else self._local(start)
-        spot = self.field.first_hit(xp, _times(self._inward, p), _times(self._inward, d), active, inner)
+        near = None if spread is None else Spread(*(_times(self._inward, vector) for vector in spread))
+        spot = self.field.first_hit(xp, _times(self._inward, p), _times(self._inward, d), active, inner, near)
         return self._world(spot)
 
     def occluded(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None, limit: Array) -> Array:

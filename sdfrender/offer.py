@@ -9,7 +9,7 @@ from math import sqrt
 from pathlib import Path
 
 from sdfbake.complaint import BadInput
-from sdfbake.gridfile import head
+from sdfbake.gridfile import whole_head
 from sdfbake.lattice import BAND
 from sdfbake.metadata import MODES
 from sdfrender.scene import Asset
@@ -33,6 +33,8 @@ class Offer:
         Whether it knows which part a place is on.
     band
         Voxels from the surface within which its samples are exact.
+    levels
+        How many coarser levels it has; of what is no file, whether it has any.
     bake
         The command that bakes it anew, up to its texture coordinates; empty where it is no file.
     """
@@ -41,6 +43,7 @@ class Offer:
     parts: tuple[str, ...] | None = None
     tells_parts: bool = True
     band: float = BAND
+    levels: int = 1
     bake: str = ""
 
     @staticmethod
@@ -48,13 +51,14 @@ class Offer:
         """Ask a grid's file; what does not exist yet can be baked with all that is wished for."""
         if not grid.is_file():
             return Offer()
-        lattice, metadata = head(grid)
+        lattice, metadata, levels = whole_head(grid)
         resolution = metadata.options.get("resolution", max(lattice.shape))
         return Offer(
             uv_modes=tuple(metadata.uv_modes),
             parts=tuple(metadata.parts),
             tells_parts=len(metadata.parts) == 1 or not metadata.checksums or "part" in metadata.checksums,
             band=metadata.band,
+            levels=levels,
             bake=f"python -m sdfbake bake MESH -n {resolution} -o {grid}",
         )
 

@@ -5,20 +5,21 @@ what is done at hits, what makes the light. Bytes are those of arrays and pictur
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from sdfbake.gridfile import stored_bytes
 from sdfbake.metadata import MODES
 from sdfrender import costs
 from sdfrender.costs import FREE, Cost
-from sdfrender.facts import IN_TEXELS, PATH_OUTPUTS, Facts, textures_of
+from sdfrender.facts import IN_TEXELS, NO_COLOUR, PATH_OUTPUTS, Facts, textures_of
+from sdfrender.levelreach import SHARE
 from sdfrender.materials import CheckerTexture, ConstantTexture, ImageTexture, Texture, needs_footprint
 from sdfrender.offer import Offer
-from sdfrender.planned import Capability, Plan, Saving
+from sdfrender.planned import Capability, Levels, Plan, Saving
 from sdfrender.scene import Scene
 from sdfrender.uvmode import AUTO, CHANNELS
 
-NO_COLOUR = "no colour is asked for"
 # Arrays of a file that a channel is made of.
 _ARRAYS = {"face": ("face", "surface")}
 
@@ -35,22 +36,50 @@ def survey(scene: Scene, bare: Scene, plan: Plan, offers: Sequence[Offer]) -> tu
     offers
         What the grids have.
     """
-    facts = Facts.of(bare)
-    lights, shadows = _lights(scene)
-    filters = [_filter(scene.texture(name)) for name in textures_of(bare)]
-    dearest = max(filters, key=lambda cost: cost.numpy, default=FREE) if facts.coloured and plan.uv else FREE
-    planned = costs.of_plan(plan, costs.total(lights, shadows) if plan.lit else FREE, dearest)
+    facts, planned = Facts.of(bare), tracing(bare, plan)
     return (
         *_hits(scene, plan, facts, planned),
         *_glass(scene, plan, facts),
         *_coordinates(scene, plan, offers, planned),
         _parts(plan, planned, offers),
         *_unread(scene, plan),
+        _levels(scene, plan, offers),
         *_textures(scene, bare, facts),
         *_materials(scene, bare),
         *_light(scene, plan, facts, planned),
         _samples(scene, facts),
     )
+
+
+def tracing(scene: Scene, plan: Plan) -> Cost:
+    """Return what a path takes that meets something at every turn.
+
+    Parameters
+    ----------
+    scene
+        What of it some part is made of.
+    plan
+        What is done.
+    """
+    filters = [_filter(scene.texture(name)) for name in textures_of(scene)]
+    coloured = "rgb" in plan.outputs
+    dearest = max(filters, key=lambda cost: cost.numpy, default=FREE) if coloured and plan.uv else FREE
+    return costs.of_plan(plan, costs.total(*_lights(scene)) if plan.lit else FREE, dearest)
+
+
+def with_levels(plan: Plan, levels: Sequence[Levels]) -> Plan:
+    """Return the plan with the mip levels that footprints can reach, and say them."""
+    named = {f"texture '{known.texture}'": known for known in levels}
+
+    def told(row: Capability) -> Capability:
+        known = named.get(row.what)
+        if known is None or known.reason == NO_COLOUR:
+            return row
+        if known.first == 0:
+            return replace(row, how=f"all mip levels, 0 to {known.last}", reason=known.reason)
+        return replace(row, how=f"mip levels {known.first} to {known.last} of 0 to {known.last}", reason=known.reason)
+
+    return replace(plan, levels=tuple(levels), capabilities=tuple(told(row) for row in plan.capabilities))
 
 
 def _left_out(what: str, reason: str, size: int = 0, saving: Saving | None = None) -> Capability:
@@ -81,8 +110,9 @@ def _hits(scene: Scene, plan: Plan, facts: Facts, planned: Cost) -> Iterator[Cap
         missing = costs.total(*(costs.total(costs.HESSIAN, FREE if order else costs.GRADIENT) for order in orders))
         yield _left_out("Hessians", reason, saving=costs.saving(missing, planned))
     if plan.differentials:
-        end = f"to hit {all_}" if plan.footprints else "to what surrounds the scene"
-        yield _done("ray differentials", end, "something is filtered by a footprint, or an output shows one")
+        end = f"to hit {all_}" if plan.footprints or plan.grid_levels else "to what surrounds the scene"
+        chosen = ", or a grid's level chosen by one" if plan.grid_levels else ""
+        yield _done("ray differentials", end, f"something is filtered by a footprint, or an output shows one{chosen}")
     else:
         what = "nothing is filtered by a footprint" if plan.uv else "there are no texture coordinates to filter"
         saved = costs.saving(costs.DIFFERENTIALS.times(all_), planned)
@@ -136,9 +166,17 @@ def _coordinates(scene: Scene, plan: Plan, offers: Sequence[Offer], planned: Cos
             why = "as the scene asks" if wished else "the most exact that the grid has"
             yield _done(f"texture coordinates as {mode}", f"{len(users)} of {len(plan.assets)} assets", why, size)
         elif any(offer.bake and mode in offer.uv_modes for offer in offers):
-            why = "as the scene asks" if any(asset.uv != AUTO for asset in scene.assets) else "the most exact there is"
-            others = ", ".join(sorted(mode for mode in read if mode))
-            yield _left_out(f"texture coordinates as {mode}", f"they are read as {others}, {why}", size)
+            yield _left_out(f"texture coordinates as {mode}", _instead(scene, plan, offers, mode), size)
+
+
+def _instead(scene: Scene, plan: Plan, offers: Sequence[Offer], mode: str) -> str:
+    """Say why coordinates are not read as some grid has them."""
+    having = [k for k, offer in enumerate(offers) if offer.bake and mode in offer.uv_modes]
+    others = sorted({plan.assets[k].uv_mode or "" for k in having} - {""})
+    if not others:
+        return "no grid that has them needs any"
+    asked = any(scene.assets[k].uv != AUTO for k in having)
+    return f"they are read as {' and '.join(others)}, {'as the scene asks' if asked else 'the most exact there is'}"
 
 
 def _parts(plan: Plan, planned: Cost, offers: Sequence[Offer]) -> Capability:
@@ -155,12 +193,24 @@ def _parts(plan: Plan, planned: Cost, offers: Sequence[Offer]) -> Capability:
 def _unread(scene: Scene, plan: Plan) -> Iterator[Capability]:
     """What is never read of grids: bricks that no ray meets, errors."""
     if all(asset.in_sight for asset in plan.assets):
-        reason = "no ray leaves from a first hit; the run says how many that are, and grids out of sight stay closed"
+        reason = "no ray leaves from a first hit: only those that the camera's rays can reach are read"
         yield _left_out("bricks out of sight", reason)
     else:
         yield _done("bricks out of sight", "all are read", "rays that leave a first hit may meet any")
     size = _unread_size(plan, ["error"])
     yield _left_out("error channel", "no picture shows how well a grid interpolates", size)
+
+
+def _levels(scene: Scene, plan: Plan, offers: Sequence[Offer]) -> Capability:
+    """Coarser levels of grids: an approximation, never chosen unasked."""
+    if plan.grid_levels:
+        how = f"voxels of at most {SHARE:g} of a ray's width"
+        return _done("grid levels", how, "APPROXIMATE, as the scene asks: the report shows the bias")
+    grids = {asset.grid for asset, offer in zip(plan.assets, offers, strict=True) if offer.bake and offer.levels}
+    sizes = [size for grid in grids for name, size in stored_bytes(grid).items() if name.startswith("level")]
+    none = scene.trace.levels == "footprint"
+    reason = "no grid has any: bake with --levels" if none else "an approximation that the scene does not ask for"
+    return _left_out("grid levels", reason, sum(sizes))
 
 
 def _textures(scene: Scene, bare: Scene, facts: Facts) -> Iterator[Capability]:
@@ -180,7 +230,7 @@ def _textures(scene: Scene, bare: Scene, facts: Facts) -> Iterator[Capability]:
         elif not facts.coloured:
             yield _done(name, "its size alone", "footprints are asked for in its texels")
         elif needs_footprint(texture):
-            yield _done(name, "all mip levels", "no bound: how fine its coordinates lie is known at hits only")
+            yield _done(name, "mip levels", "from the first that a footprint in sight can reach")
         else:
             yield _done(name, "the finest level", f"the filter {texture.filter} reads no other")
 
@@ -196,7 +246,8 @@ def _materials(scene: Scene, bare: Scene) -> Iterator[Capability]:
 def _light(scene: Scene, plan: Plan, facts: Facts, planned: Cost) -> Iterator[Capability]:
     lights, shadows = _lights(scene)
     if plan.lit:
-        yield _done("lights and shadows", f"{len(scene.lights)} lights", "a matt surface asks them")
+        count = len(scene.lights)
+        yield _done("lights and shadows", f"{count} light{'s' * (count != 1)}", "a matt surface asks them")
     else:
         reason = "no matt surface is lit" if scene.lights or scene.environment else "there are no lights"
         saved = costs.saving(costs.total(lights, shadows), planned) if facts.lit else None

@@ -21,6 +21,7 @@ from sdfrender.stage import Stage
 from sdfrender.trace import hit_flags, transferred
 from sdfrender.vector import Vector, select
 from sdfrender.viewing import Start
+from sdfrender.widths import spreading
 
 NOTHING: Any = ()  # in place of what a path does not carry
 
@@ -114,7 +115,8 @@ def follow(xp: Engine, job: Job, start: Start, code: Array, within: Array | None
 def _hit(xp: Engine, job: Job, number: int, last: bool, state: tuple[Path, Spot | None]) -> tuple[Path, Spot]:
     """Follow paths to their next hit, or out of the scene."""
     path, place = state
-    spot = job.stage.field.first_hit(xp, path.beam.p, path.beam.d, path.active, place)
+    beam, spread = path.beam, spreading(path.beam, path.begin) if job.stage.plan.grid_levels else None
+    spot = job.stage.field.first_hit(xp, beam.p, beam.d, path.active, place, spread)
     path = xp.among(path.active & ~spot.hit, partial(_escaped, xp, job), path)
     return xp.among(spot.hit, partial(_met, xp, job, number, last), (path, spot))
 

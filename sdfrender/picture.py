@@ -41,6 +41,21 @@ def read_picture(path: str | Path) -> Float[np.ndarray, "h w 3"]:
         raise BadInput(f"{path} cannot be read as an image ({said}): give a PNG, JPEG or EXR file") from None
 
 
+def picture_size(path: str | Path) -> tuple[int, int]:
+    """Return width and height of a picture, of which the head alone is read; errors are those of `read_picture`."""
+    try:
+        with Path(path).open("rb") as file:
+            magic = file.read(len(EXR_MAGIC))
+        if magic == EXR_MAGIC:
+            height, width, _ = _read_exr(path).shape
+            return width, height
+        with Image.open(path) as image:
+            return image.size
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+        height, width, _ = read_picture(path).shape  # says what is wrong with it
+        return width, height
+
+
 def srgb_to_linear(values: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
     """Undo the sRGB transfer curve (IEC 61966-2-1)."""
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)

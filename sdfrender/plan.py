@@ -7,6 +7,7 @@ plan names; nothing is switched off inside it.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import get_args
 
 from sdfbake.complaint import BadInput
 from sdfrender.facts import FOOTPRINT_OUTPUTS, PATH_OUTPUTS, UV_OUTPUTS, Facts, by_part, used
@@ -14,7 +15,7 @@ from sdfrender.materials import Diffuse, Glass, Mirror
 from sdfrender.offer import Offer
 from sdfrender.omissions import survey
 from sdfrender.planned import FUSED, AssetPlan, Plan
-from sdfrender.scene import Asset, Scene
+from sdfrender.scene import Asset, Output, Scene
 from sdfrender.uvmode import AUTO, BY_NORMAL, CHANNELS, choose_mode
 
 
@@ -63,7 +64,8 @@ def _planned(scene: Scene, facts: Facts, assets: tuple[AssetPlan, ...], offers: 
     by_normal = any(asset.uv_mode in BY_NORMAL for asset in assets)
     shown = facts.coloured and (facts.lit or facts.normals)
     hits = 1 + (scene.bounces if facts.onward else 0)
-    differentials = footprints or (facts.surrounded and facts.coloured)
+    choosing = any(asset.levels for asset in assets)
+    differentials = footprints or choosing or (facts.surrounded and facts.coloured)
     orders = tuple(
         max(2 if differentials else 1, _first(hit, outputs))
         if hit < hits - 1 or hits > FUSED
@@ -79,6 +81,38 @@ def _planned(scene: Scene, facts: Facts, assets: tuple[AssetPlan, ...], offers: 
         parts="part" in outputs or (bool(outputs & PATH_OUTPUTS) and (divided or len(assets) > 1)),
         splits=min(scene.trace.splits, hits - 1) if facts.glass and facts.coloured else 0,
         lit=facts.lit and facts.coloured,
+        assets=assets,
+    )
+
+
+def forced_plan(scene: Scene, plan: Plan, modes: Sequence[Sequence[str]]) -> Plan:
+    """Return the plan of the same picture with everything on: what a renderer would do that knows no plans.
+
+    All outputs, Hessians at every hit that mirrors and glass allow, differentials and footprints, parts, lights,
+    colours; texture coordinates by the representation of the plan, or the most exact that there is.
+
+    Parameters
+    ----------
+    scene, plan
+        The scene and its plan.
+    modes
+        How the grid of every asset knows texture coordinates.
+    """
+    facts = Facts.of(scene)
+    hits = 1 + (scene.bounces if facts.mirrors or facts.glass else 0)
+    assets = tuple(
+        replace(asset, uv_mode=asset.uv_mode or next(iter(known), None), in_sight=False)
+        for asset, known in zip(plan.assets, modes, strict=True)
+    )
+    return Plan(
+        outputs=get_args(Output),
+        orders=(2,) * hits,
+        differentials=True,
+        footprints=True,
+        uv=any(asset.uv_mode for asset in assets),
+        parts=True,
+        splits=min(scene.trace.splits, hits - 1) if facts.glass else 0,
+        lit=facts.lit,
         assets=assets,
     )
 
@@ -115,7 +149,8 @@ def _asset_plan(scene: Scene, place: int, facts: Facts, offer: Offer, of_file: b
         mode = choose_mode(offer.uv_modes, asset.uv if of_file else AUTO, source, offer.bake)
     told = "part" in outputs or (bool(outputs & PATH_OUTPUTS) and by_part(asset, offer.parts))
     channels = ("distance", *(CHANNELS[mode] if mode else ()), *(["part"] if told else []))
-    return AssetPlan(str(asset.grid), channels, mode, in_sight=not _goes_on(scene, facts))
+    levels = offer.levels if scene.trace.levels == "footprint" else 0
+    return AssetPlan(str(asset.grid), channels, mode, in_sight=not _goes_on(scene, facts), levels=levels)
 
 
 def uv_required(asset: Asset, facts: Facts) -> bool:

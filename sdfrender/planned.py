@@ -53,13 +53,25 @@ class Capability:
 class AssetPlan:
     """What is read of an asset: its file, its channels, and how it knows texture coordinates (None: not asked).
 
-    Only the bricks `in_sight` of the picture's rays are read where no ray leaves from what these meet.
+    Only the bricks `in_sight` of the picture's rays are read where no ray leaves from what these meet. Among so many
+    coarser `levels` rays choose by their footprints.
     """
 
     grid: str
     channels: tuple[str, ...]
     uv_mode: str | None
     in_sight: bool = False
+    levels: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """Of the mip levels of a texture, 0 to `last`, the first that any footprint can reach, and why."""
+
+    texture: str
+    first: int
+    last: int
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +101,9 @@ class Plan:
         What is read of each asset of the scene.
     capabilities
         All that the renderer can do, needed or not, with reasons.
+    levels
+        Mip levels of the textures that are filtered by footprints. They are known once it is known which bricks are in
+        sight: `sdfrender.stage.prepare` and `sdfrender.forecast.forecast` fill them in.
     """
 
     outputs: tuple[str, ...]
@@ -101,6 +116,12 @@ class Plan:
     lit: bool
     assets: tuple[AssetPlan, ...]
     capabilities: tuple[Capability, ...] = ()
+    levels: tuple[Levels, ...] = ()
+
+    @property
+    def grid_levels(self) -> bool:
+        """Whether rays choose among levels of grids by their footprints."""
+        return any(asset.levels for asset in self.assets)
 
     @property
     def left_out(self) -> tuple[Capability, ...]:

@@ -98,6 +98,11 @@ class Sight:
         margin = 1 + _ROUNDING * size / (placed.scale * lattice.spacing)
         return Sight(tuple(frustum.in_grid(placed, lattice) for frustum in frusta), margin)
 
+    def on_level(self, number: int) -> "Sight":
+        """Return the same in the grid coordinates of a coarser level."""
+        frusta = tuple(Frustum(frustum.normal * 2.0**number, frustum.limit) for frustum in self.frusta)
+        return Sight(frusta, self.margin)
+
     def meets_lattice(self, lattice: Lattice) -> bool:
         """Say whether any ray comes into the lattice."""
         low, high = np.zeros((1, 3)), np.array([lattice.shape], np.float64) - 1

@@ -32,15 +32,25 @@ class Sampler:
         What lies outside [0, 1]: the border's colour (`clamp`), the image again (`repeat`), or mirrored (`mirror`).
     most
         Greatest ratio of the ellipse's axes for `anisotropic`; beyond it the minor axis is widened.
+    first
+        The first level that any look-up with a footprint reaches (`sdfrender.mips`): finer ones are not kept.
     """
 
     def __init__(
-        self, xp: Engine, texture: Texture, filtering: Filter, wrap: Wrap, most: float = MOST_ANISOTROPIC
+        self,
+        xp: Engine,
+        texture: Texture,
+        filtering: Filter,
+        wrap: Wrap,
+        most: float = MOST_ANISOTROPIC,
+        *,
+        first: int = 0,
     ) -> None:
         self.filtering, self.size, self.most = filtering, texture.size, most
         levels = texture.levels if self.needs_footprint else texture.levels[:1]
-        self._texels = Texels(xp, levels, wrap)
-        self._top = xp.uniform(len(levels) - 1)
+        first = first if self.needs_footprint else 0
+        self._texels = Texels(xp, levels, wrap, first)
+        self._first, self._top = xp.uniform(first), xp.uniform(len(levels) - 1)
 
     @property
     def needs_footprint(self) -> bool:
@@ -66,7 +76,7 @@ class Sampler:
             return Look(self.colour(xp, u, v, None, active), never, never, never)
         assert footprint is not None
         if self.filtering == "anisotropic":
-            pyramid = Pyramid(xp.full(u, 0), xp.full(u, 0) + self._top)
+            pyramid = Pyramid(xp.full(u, 0), xp.full(u, 0) + self._top, self._first)
             return elliptical(xp, self._texels, pyramid, (u, v), footprint, active, most=self.most, linear=True)
         width, height = (xp.uniform(float(count)) for count in self.size)
         lod = level_of_detail(xp, *footprint, (width, height))
@@ -81,7 +91,7 @@ class Sampler:
         if self.filtering == "bilinear":
             return self._texels.bilinear(xp, u, v, level, active)
         assert lod is not None
-        lod = xp.minimum(xp.maximum(lod, 0.0), xp.real(self._top))
+        lod = xp.minimum(xp.maximum(lod, xp.real(self._first)), xp.real(self._top))
         finer = xp.integer(lod)
         coarser = xp.minimum(finer + 1, self._top)
         a, b = (self._texels.bilinear(xp, u, v, level, active) for level in (finer, coarser))

@@ -7,7 +7,7 @@ is one sentence that names the file and the key. docs/scenes.md describes every 
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationError, model_validator
@@ -38,6 +38,8 @@ Output = Literal[
     "nonlinearity",
     "flags",
 ]
+Levels = Literal["finest", "footprint"]
+LEVELS = get_args(Levels)
 _TEXTURES, _LIGHTS = ("image", "checker", "constant"), ("point", "directional")
 _KINDS = frozenset(("pinhole", "orthographic", "mirror", "glass", "diffuse", "normals", *_TEXTURES, *_LIGHTS))
 MOST_PIXELS = 2**28  # 268 million samples per pass: 24 bytes each for the colours alone
@@ -102,13 +104,15 @@ class Trace(Strict):
     """How rays meet the surface.
 
     The kernel and its tension; how many mirrors and surfaces of glass a path may meet; at how many of the latter, from
-    the first on, both ways are followed.
+    the first on, both ways are followed; whether the finest level of a grid is met, or that which a ray's footprint
+    suits, which is an approximation.
     """
 
     kernel: Literal["linear", "catmull-rom", "bspline"] = "bspline"
     tension: float = Field(0.5, ge=0, le=1)
     bounces: int | None = Field(None, ge=0, le=1024)
     splits: int = Field(2, ge=0, le=6)
+    levels: Levels = "finest"
 
 
 class Asset(Strict):
@@ -211,7 +215,14 @@ class Scene(Strict):
         )
         return self.model_copy(update={"assets": assets}) if constant else self
 
-    def with_(self, *, size: tuple[int, int] | None, outputs: tuple[str, ...] | None, kernel: str | None) -> "Scene":
+    def with_(
+        self,
+        *,
+        size: tuple[int, int] | None,
+        outputs: tuple[str, ...] | None,
+        kernel: str | None,
+        levels: str | None = None,
+    ) -> "Scene":
         """Return the scene with what a command line overrides."""
         data = self.model_dump(exclude_unset=True)
         film, trace = ({**data.get(table, {})} for table in ("film", "trace"))
@@ -223,6 +234,8 @@ class Scene(Strict):
             if kernel not in KERNELS:
                 raise BadInput(f"there is no kernel '{kernel}': choose one of {', '.join(KERNELS)}")
             trace["kernel"] = kernel
+        if levels is not None:
+            trace["levels"] = levels
         return _validated({**data, "film": film, "trace": trace}, "the command line")
 
 

@@ -3,16 +3,19 @@
 In: a scene. Out: a `Stage` that can be traced: the surface, its materials, textures, lights, and the view.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
+from sdfbake.bricks import Bricks
 from sdfbake.complaint import BadInput
 from sdfbake.engine import Array, Choice, Engine, choose
-from sdfbake.gridfile import Reading, head, load_counted, nothing_read
+from sdfbake.gridfile import head, load_counted, nothing_read
+from sdfbake.gridreading import Reading, together
 from sdfbake.lattice import Lattice
 from sdfbake.metadata import Metadata
 from sdfrender.assembly import Assembly
@@ -24,15 +27,18 @@ from sdfrender.gridfield import GridField
 from sdfrender.instance import Instance
 from sdfrender.irradiance import irradiance
 from sdfrender.kernels import kernel
+from sdfrender.leveled import LeveledField
 from sdfrender.lighting import Lighting
-from sdfrender.materials import CheckerTexture, Diffuse, Glass, ImageTexture, Material, Texture
+from sdfrender.materials import CheckerTexture, Diffuse, Glass, ImageTexture, Material, Texture, needs_footprint
+from sdfrender.mips import Ground, grounds, levels_of
+from sdfrender.omissions import with_levels
 from sdfrender.palette import Palette
 from sdfrender.picture import read_picture
 from sdfrender.plan import make_plan
-from sdfrender.planned import AssetPlan, Plan
+from sdfrender.planned import Levels, Plan
 from sdfrender.pyramid import Texture as Image
-from sdfrender.reach import Sight, frusta, needed
 from sdfrender.scene import Asset, Scene, load_scene
+from sdfrender.sharing import Share, shares
 from sdfrender.texture import Checker, Lookup, Sampler
 from sdfrender.unseen import Unseen
 from sdfrender.viewing import CameraView, View
@@ -79,7 +85,10 @@ class Stage:
         """Return how deep a graze may be missed at most, world units: the largest of the grids' rounding bounds."""
         grids = [(member, asset.placed().scale) for member, asset in zip(self.members, self.scene.assets, strict=True)]
         inner = [(member.field if isinstance(member, Instance) else member, scale) for member, scale in grids]
-        return max((2 * grid.tolerance * scale for grid, scale in inner if isinstance(grid, GridField)), default=0.0)
+        return max(
+            (2 * grid.tolerance * scale for grid, scale in inner if isinstance(grid, GridField | LeveledField)),
+            default=0.0,
+        )
 
     def within(self) -> Int[np.ndarray, " m"]:
         """Return, as bits, the bodies of glass that rays start in: once for all, or once per ray of the view."""
@@ -119,13 +128,17 @@ def prepare(
     """
     scene = (scene if isinstance(scene, Scene) else load_scene(scene)).plain()
     view = view or CameraView(scene.camera.camera(scene.film.size), scene.film.supersample, scene.film.seed)
-    plan, choice, members, read = _members(scene, field, (engine, precision), view)
+    plan, choice, members, read, known = _members(scene, field, (engine, precision), view)
     xp = choice.engine
     by_part = [materials_of(asset, member.part_names) for asset, member in zip(scene.assets, members, strict=True)]
     materials = [material for materials in by_part for material in materials]
     names = sorted({m.texture for m in materials if isinstance(m, Diffuse) and m.texture is not None})
     looked_at = set(plan.outputs) & {"rgb", *IN_TEXELS}
-    samplers = {name: _sampler(xp, scene.texture(name)) for name in names} if looked_at else {}
+    samplers, levels = {}, []
+    for name in names if looked_at else ():
+        samplers[name], found = _sampler(xp, scene.texture(name), partial(levels_of, scene, plan, view, known))
+        levels += found
+    plan = with_levels(plan, levels)
     around, lighting = _light(xp, scene, plan)
     return Stage(
         scene=scene,
@@ -148,7 +161,8 @@ Read = tuple[tuple[str, Reading], ...]
 
 def _members(
     scene: Scene, given: Field | Sequence[Field] | None, engine: tuple[str, int | None], view: View
-) -> tuple[Plan, Choice, list[Field], Read]:
+) -> tuple[Plan, Choice, list[Field], Read, Sequence[Ground] | None]:
+    """Return the plan, the engine, the surfaces, how much of every grid was read, and what bounds footprints there."""
     if given is not None:
         fields = list(given) if isinstance(given, Sequence) else [given]
         if len(scene.assets) != len(fields):
@@ -157,60 +171,44 @@ def _members(
         for field in fields if plan.uv else ():  # an assembly asks all that have texture coordinates
             field.prepare_uv()
         placed = [_placed(field, asset) for field, asset in zip(fields, scene.assets, strict=True)]
-        return plan, Choice(fields[0].engine, "that of the given surface"), placed, ()
+        return plan, Choice(fields[0].engine, "that of the given surface"), placed, (), None
     plan, choice = make_plan(scene), choose(*engine)
     # A missing file is named before another is read.
     heads = {grid: head(grid) for grid in dict.fromkeys(asset.grid for asset in plan.assets)}
-    # One field serves all places of a grid, if what is read for one of them is enough for the others.
-    serving = [
-        max((other for other in plan.assets if _serves(other, least)), key=lambda other: len(other.channels))
-        for least in plan.assets
-    ]
-    sights = _sights(scene, plan, view, [heads[asset.grid][0] for asset in plan.assets])
-    members: list[Field | None] = [None] * len(serving)
+    told = [heads[asset.grid] for asset in plan.assets]
+    members: dict[int, Field] = {}
     read = []
-    for needs in dict.fromkeys(serving):
-        places = [place for place, other in enumerate(serving) if other == needs]
-        found, reading = _load(scene, needs, heads[needs.grid], choice, [sights[place] for place in places])
-        read.append((needs.grid, reading))
-        for place, field in zip(places, found, strict=True):
-            members[place] = _placed(field, scene.assets[place])
-    return plan, choice, [member for member in members if member is not None], tuple(read)
+    for share in shares(scene, plan, view, [lattice for lattice, _ in told]):
+        fields, reading = _load(scene, share, heads[share.needs.grid], choice)
+        read.append((share.needs.grid, reading))
+        members |= zip(share.places, fields, strict=True)
+    grids = {place: field.grid for place, field in members.items() if isinstance(field, GridField)}
+    known = grounds(scene, plan, view, told, lambda place: grids[place].bricks if place in grids else None)
+    placed = [_placed(members[place], asset) for place, asset in enumerate(scene.assets)]
+    return plan, choice, placed, tuple(read), known
 
 
-def _serves(other: AssetPlan, needs: AssetPlan) -> bool:
-    enough = set(needs.channels) <= set(other.channels) and needs.uv_mode in (None, other.uv_mode)
-    return other.grid == needs.grid and enough
-
-
-def _sights(scene: Scene, plan: Plan, view: View, lattices: Sequence[Lattice]) -> list[Sight | None]:
-    """Return what is seen of the grid of every asset; None for all of it."""
-    around = frusta(view) if all(asset.in_sight for asset in plan.assets) else None
-    if around is None:
-        return [None] * len(plan.assets)
-    placed = [asset.placed() for asset in scene.assets]
-    boxes = np.stack([place.bounds(lattice.bounds) for place, lattice in zip(placed, lattices, strict=True)])
-    size = float(np.linalg.norm(boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)))
-    return [Sight.of(around, place, lattice, size) for place, lattice in zip(placed, lattices, strict=True)]
-
-
-def _load(
-    scene: Scene, needs: AssetPlan, told: tuple[Lattice, Metadata], choice: Choice, sights: Sequence[Sight | None]
-) -> tuple[list[Field], Reading]:
+def _load(scene: Scene, share: Share, told: tuple[Lattice, Metadata], choice: Choice) -> tuple[list[Field], Reading]:
     """Load a grid for all its places: one field, and where nothing of it is in sight, none."""
-    seen = [sight for sight in sights if sight is not None]
-    lattice, metadata = told
-    met = [sight is None or sight.meets_lattice(lattice) for sight in sights]
+    (lattice, metadata), needs = told, share.needs
+    met = share.met(lattice)
     unseen = Unseen(lattice, metadata, choice.engine, needs.uv_mode)
     if not any(met):
-        return [unseen for _ in sights], nothing_read(needs.grid)
-    whole = len(seen) < len(sights) or metadata.source == "dense"  # of distances alone is known what others may be
-    wanted = None if whole else lambda _, bricks: needed(seen, bricks)
-    grid, reading = load_counted(needs.grid, set(needs.channels), wanted)
-    field = GridField(grid, kernel(scene.trace.kernel, scene.trace.tension), choice, uv_mode=needs.uv_mode)
+        return [unseen for _ in met], nothing_read(needs.grid)
+    fields, readings = [], []
+    for level in share.levels:
+        wanted = None if share.is_whole(metadata) else partial(_wanted, share, level)
+        grid, reading = load_counted(needs.grid, set(needs.channels), wanted, level)
+        fields.append(GridField(grid, kernel(scene.trace.kernel, scene.trace.tension), choice, uv_mode=needs.uv_mode))
+        readings.append(reading)
+    field = fields[0] if len(fields) == 1 else LeveledField(fields)
     if needs.uv_mode is not None:
         field.prepare_uv()
-    return [field if here else unseen for here in met], reading
+    return [field if here else unseen for here in met], together(readings)
+
+
+def _wanted(share: Share, level: int, _: Lattice, bricks: Bricks) -> Bool[np.ndarray, " k"]:
+    return share.wanted(bricks, level)
 
 
 def _placed(field: Field, asset: Asset) -> Field:
@@ -218,11 +216,17 @@ def _placed(field: Field, asset: Asset) -> Field:
     return field if placed.is_identity else Instance(field, placed)
 
 
-def _sampler(xp: Engine, texture: Texture) -> Lookup:
+def _sampler(
+    xp: Engine, texture: Texture, levels: Callable[[ImageTexture, tuple[int, int]], Levels]
+) -> tuple[Lookup, list[Levels]]:
+    """Return a texture, and which of its levels it keeps, if it has some and they matter."""
     if isinstance(texture, CheckerTexture):
-        return Checker(texture.colours, texture.squares)
+        return Checker(texture.colours, texture.squares), []
     assert isinstance(texture, ImageTexture)  # those of one colour are in the materials by now
-    return Sampler(xp, Image.load(texture.image), texture.filter, texture.wrap, texture.anisotropy)
+    image = Image.load(texture.image)
+    known = [levels(texture, image.size)] if needs_footprint(texture) else []
+    first = known[0].first if known else 0
+    return Sampler(xp, image, texture.filter, texture.wrap, texture.anisotropy, first=first), known
 
 
 def _light(xp: Engine, scene: Scene, plan: Plan) -> tuple[Environment | None, Lighting | None]:

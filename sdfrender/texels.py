@@ -60,15 +60,17 @@ class Texels:
         What lies outside [0, 1]: the border's colour (`clamp`), the image again (`repeat`), the image mirrored
         (`mirror`); or the image around a sphere, which repeats in u, and beyond a pole comes back half a turn away
         (`sphere`).
+    first
+        The first level whose texels are kept; of those before it only the sizes are known.
     """
 
-    def __init__(self, xp: Engine, levels: Sequence[Float[np.ndarray, "_ _ c"]], wrap: Wrap) -> None:
+    def __init__(self, xp: Engine, levels: Sequence[Float[np.ndarray, "_ _ c"]], wrap: Wrap, first: int = 0) -> None:
         self.wrap = wrap
-        texels = np.concatenate([level.reshape(-1, level.shape[2]) for level in levels])
+        texels = np.concatenate([level.reshape(-1, level.shape[2]) for level in levels[first:]])
         self._channels = [xp.table(texels[:, c]) for c in range(texels.shape[1])]
         self._widths = xp.table(np.array([level.shape[1] for level in levels], np.int32))
         self._heights = xp.table(np.array([level.shape[0] for level in levels], np.int32))
-        counts = [level.shape[0] * level.shape[1] for level in levels]
+        counts = [level.shape[0] * level.shape[1] if k >= first else 0 for k, level in enumerate(levels)]
         self._starts = xp.table(np.cumsum([0, *counts[:-1]]).astype(np.int32))
 
     @property

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from sdfbake.engine import Array, Engine
 from sdfbake.lattice import Lattice
 from sdfbake.metadata import Metadata
-from sdfrender.field import Jet, Mapped, Spot
+from sdfrender.field import Jet, Mapped, Spot, Spread
 from sdfrender.vector import Symmetric, Vector, zero
 
 
@@ -34,7 +34,9 @@ class Unseen:
         self.is_distance = metadata.source != "dense"
         self.part_names = tuple(metadata.parts)
 
-    def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
+    def first_hit(
+        self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None, spread: Spread | None = None
+    ) -> Spot:
         """Find nothing."""
         return self.locate(xp, p, active)
 
