@@ -31,7 +31,7 @@ OBJECTS := bunny torus mirror
 CHARTED := bunny torus
 SUITES := $(OBJECTS:%=footprints-%) $(CHARTED:%=representations-%) figures pictures inspector scores opinion misses \
 	shapes meshes matrix bounces faults truths convergence stress
-TIMED := frontier engines representations-clock cost derivatives filtering savings
+TIMED := frontier engines representations-clock cost derivatives filtering savings levels
 
 GRIDS := $(foreach name,$(OBJECTS),$(name)@64 $(name)@512) $(foreach name,$(CHARTED),$(name)@128 $(name)@256) sphere@16
 EXACT_GRIDS := exact-mirror@64 exact-mirror@512 exact-torus@64 exact-torus@512 exact-sphere@16 exact-sphere@64 \
@@ -56,7 +56,7 @@ SHARED_CODE := $(addprefix sdfbake/,atomic.py commandline.py complaint.py mesh.p
 MESH_CODE := $(SHARED_CODE) $(wildcard datasets_synthetic/*.py) \
 	$(addprefix sdfbake/,diagnosis.py repair.py unwrap.py topology.py triangle.py)
 BAKE_CODE := $(wildcard sdfbake/*.py)
-RENDER_CODE := $(wildcard sdfrender/*.py sdfbake/engine/*.py) $(addprefix sdfbake/,grid.py gridfile.py gridchunks.py gridlayout.py bricks.py lattice.py)
+RENDER_CODE := $(wildcard sdfrender/*.py sdfbake/engine/*.py) $(addprefix sdfbake/,grid.py gridfile.py gridreading.py foretelling.py gridchunks.py gridlayout.py bricks.py lattice.py)
 CHECK_CODE := $(wildcard validate/*.py validate/suites/*.py validate/stress/*.py)
 
 # Pythons in which other bakers and renderers are looked for, beside the system's and ours; separated as in PATH.
@@ -111,6 +111,10 @@ $(RENDERS:%=$(BUILD)/scenes/%.toml) &: datasets_synthetic/scenes.py datasets_syn
 
 # ---- grids -----------------------------------------------------------------------------------------------------------
 grids: $(GRID_FILES)  ## bake the grids, and sample those of exact shapes
+
+# With coarser levels of itself.
+$(call grid,levels-bunny@512): $(call mesh,bunny) $(BAKE_CODE) | $(READY)
+	$(PY) -m sdfbake bake $< -n 512 --levels 3 --uv-mode faces -o $@ > /dev/null
 
 # One rule per resolution: exact-NAME@N is sampled from the shape, NAME@N baked from the mesh.
 define grid_rules
@@ -192,6 +196,7 @@ $(call runs,filtering): $(call grid,torus@128) $(call grid,exact-mirror@64) $(ca
 $(call runs,cost): $(foreach m,$(CHARTED),$(call mesh,$(m)) $(foreach n,64 128 256,$(call grid,$(m)@$(n)))) \
 	| $(call runs,filtering)
 $(call runs,savings): $(call grid,bunny@64) $(call grid,bunny@512) | $(call runs,cost)
+$(call runs,levels): $(call grid,levels-bunny@512) | $(call runs,savings)
 
 # ---- tests -----------------------------------------------------------------------------------------------------------
 test: format-check lint types imports pytest  ## format, lint, types, room rules and all tests

@@ -6,7 +6,7 @@ from jaxtyping import install_import_hook
 
 ROOMS = ("sdfbake", "sdfrender", "datasets_synthetic", "validate")
 # What runs once per step of a loop: checking every call would be most of the tests' time.
-UNCHECKED = {"sdfrender.march", "sdfrender.stride", "sdfrender.tables", "sdfrender.cell", "sdfrender.vector"}
+UNCHECKED = {f"sdfrender.{name}" for name in ("march", "stride", "tables", "cell", "vector", "anisotropic", "texels")}
 ROOT = Path(__file__).parent.parent
 MODULES = {f"{room}.{path.stem}" for room in ROOMS for path in (ROOT / room).glob("*.py")} - UNCHECKED
 

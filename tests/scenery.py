@@ -24,11 +24,12 @@ materials = [
 SPHERE = '[[assets]]\ngrid = "sphere.zarr.zip"\nmaterials = [{{ type = {material} }}]\n'
 
 
-def furnish(folder: Path) -> Path:
+def furnish(folder: Path, resolution: int = 32, *, mirror: bool = True) -> Path:
     """Put grids of the sphere and of the mirror's scene, and a texture of squares, into a folder."""
-    Grid.from_function(shape("sphere"), 32).save(folder / "sphere.zarr.zip")
-    Grid.from_function(shape("sphere"), 32, uv_mode="none").save(folder / "bare.zarr.zip")
-    Grid.from_function(shape("mirror"), 56).save(folder / "mirror.zarr.zip")
+    Grid.from_function(shape("sphere"), resolution).save(folder / "sphere.zarr.zip")
+    Grid.from_function(shape("sphere"), resolution, uv_mode="none").save(folder / "bare.zarr.zip")
+    if mirror:
+        Grid.from_function(shape("mirror"), 56).save(folder / "mirror.zarr.zip")
     row, column = np.mgrid[0:64, 0:64]
     squares = np.where((row // 8 + column // 8) % 2, 230, 20).astype(np.uint8)
     Image.fromarray(np.stack([squares, row.astype(np.uint8) * 3, 255 - squares], axis=-1)).save(folder / "page.png")

@@ -101,7 +101,7 @@ def test_records_are_plain(folder):
     record = make_plan(load_scene(mirror_scene(folder))).record()
     assert record["orders"] == (2, 1) and json.loads(json.dumps(record))["splits"] == 0
     left_out = [omission["what"] for omission in record["left_out"]]
-    assert left_out[:2] == ["refraction", "error channel"] and left_out[2:4] == ["lights and shadows", "environment"]
+    assert left_out[:5] == ["refraction", "error channel", "grid levels", "lights and shadows", "environment"]
     assert [row for row in record["capabilities"] if not row["needed"]] == record["left_out"]
 
 

@@ -10,6 +10,7 @@ from scenery import CAMERA, TEXTURE, furnish
 from sdfbake import Grid
 from sdfbake.engine import choose
 from sdfbake.engine.choose import _jit_problem
+from sdfrender import stage as staging
 from sdfrender.flags import Flag
 from sdfrender.gridfield import GridField
 from sdfrender.plan import make_plan
@@ -20,7 +21,7 @@ from sdfrender.stage import prepare
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return furnish(tmp_path_factory.mktemp("scenes"))
+    return furnish(tmp_path_factory.mktemp("scenes"), 20, mirror=False)
 
 
 def _asset(grid, materials, *more):
@@ -88,13 +89,24 @@ def test_what_whole_scenes_need(folder, case):
     assert ("parts" in left_out) is not plan.parts
 
 
+@pytest.fixture(scope="module")
+def fields(folder):
+    """Surfaces with all that their grids have: preparing them for every scene would be most of the time."""
+    return {name: GridField(Grid.load(folder / f"{name}.zarr.zip"), engine="numpy") for name in ("bare", "sphere")}
+
+
 @pytest.mark.parametrize("case", WHOLE.values(), ids=WHOLE)
-def test_whole_scenes_lack_nothing(folder, case):
+def test_whole_scenes_lack_nothing(folder, fields, case):
     """Planned = with Hessians, differentials, footprints and parts at every hit, bit for bit.
 
-    Texture coordinates are forced only where they can be had, lights only where there are some.
+    Texture coordinates are forced only where they can be had, lights only where there are some. How the plan is loaded
+    has its own tests, below.
     """
-    stage = prepare(whole(folder, case, 8), engine="numpy")
+    scene = load_scene(whole(folder, case, 6))
+    stage = prepare(scene, field=[fields[asset.grid.name.partition(".")[0]] for asset in scene.assets])
+    assert replace(stage.plan, assets=(), capabilities=(), levels=()) == replace(
+        make_plan(scene), assets=(), capabilities=()
+    )
     orders = (2,) * len(stage.plan.orders)
     full = replace(stage.plan, orders=orders, differentials=True, footprints=True, parts=True)
     planned, everything = shoot(stage), shoot(replace(stage, plan=full))
@@ -113,6 +125,7 @@ def test_the_check_sees_what_is_missing(folder):
 
 
 OUTPUTS = get_args(Output)
+COMPILED = ("rgb", "N", "lod", "flags")  # those that are compared on Dr.Jit, where every program is compiled first
 # Outputs that are planned alike, so that one picture of them all is that of each alone.
 ALIKE = [
     ("rgb",),
@@ -134,15 +147,15 @@ PAIRED = {
 
 @pytest.fixture(scope="module")
 def everything(folder):
-    """All outputs of a scene at once, everything forced on, on surfaces of which everything was read; by request."""
+    """Many outputs of a scene at once, everything forced on, on surfaces of which everything was read; by request."""
     known = {}
 
     def made(name, engine):
         if (name, engine) not in known:
-            scene = load_scene(paired(folder, name, OUTPUTS))
+            scene = load_scene(paired(folder, name, OUTPUTS if engine == "numpy" else COMPILED))
             choice = choose(engine, 64)
-            fields = [GridField(Grid.load(asset.grid), engine=choice) for asset in scene.assets]
-            stage = prepare(scene, field=fields)
+            made = {grid: GridField(Grid.load(grid), engine=choice) for grid in {a.grid for a in scene.assets}}
+            stage = prepare(scene, field=[made[asset.grid] for asset in scene.assets])
             full = replace(stage.plan, orders=(2,) * len(stage.plan.orders), differentials=True, footprints=True)
             known[name, engine] = shoot(replace(stage, plan=replace(full, parts=True, uv=True)))
         return known[name, engine]
@@ -173,6 +186,26 @@ def test_all_outputs_are_planned_alike_some(folder):
             assert all(replace(plan, outputs=(), capabilities=()) == bare for plan in alone)
 
 
+@pytest.fixture(scope="module")
+def loadings():
+    return {}
+
+
+@pytest.fixture
+def loaded_once(loadings, monkeypatch):
+    """Load once what is planned alike: preparing grids again and again would be most of the time."""
+    load = staging._load
+
+    def memoized(scene, share, told, choice):
+        key = (share.needs, share.places, None in share.sights, choice.engine.name)
+        if key not in loadings:
+            loadings[key] = load(scene, share, told, choice)
+        return loadings[key]
+
+    monkeypatch.setattr(staging, "_load", memoized)
+
+
+@pytest.mark.usefixtures("loaded_once")
 @pytest.mark.parametrize("outputs", ALIKE, ids=lambda outputs: outputs[0])
 @pytest.mark.parametrize("name", PAIRED)
 def test_every_output_alone_is_that_of_everything(folder, everything, name, outputs):
@@ -184,8 +217,9 @@ def test_every_output_alone_is_that_of_everything(folder, everything, name, outp
         assert np.isfinite(mine).all() and (np.ptp(mine) > 0 or output in ("chart", "part", "flags"))
 
 
+@pytest.mark.usefixtures("loaded_once")
 @pytest.mark.skipif(_jit_problem() is not None, reason="Dr.Jit is not usable")
-@pytest.mark.parametrize("output", ["rgb", "N", "lod", "flags"])
+@pytest.mark.parametrize("output", COMPILED)
 def test_every_output_alone_is_that_of_everything_on_drjit(folder, everything, output):
     """The compiler fuses multiplications with additions as it likes: a few units in the last place of float64, which
     two bounces enlarge by no more than 1e4.

@@ -2,7 +2,9 @@
 
 import json
 import zipfile
+from copy import copy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from scenery import furnish, sdfrender_caller
 
 from datasets_synthetic import shape
 from sdfbake import Grid
-from sdfrender import GridField
+from sdfrender import GridField, sharing
 from sdfrender import stage as staging
 from sdfrender.camera import Camera, OrthographicCamera
 from sdfrender.instance import Instance
@@ -28,9 +30,9 @@ from sdfrender.viewing import CameraView, GivenView
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    folder = furnish(tmp_path_factory.mktemp("reach"))
-    Grid.from_function(shape("sphere"), 80).save(folder / "ball.zarr.zip")
-    Grid.from_function(shape("mirror"), 72).save(folder / "pair.zarr.zip")
+    folder = furnish(tmp_path_factory.mktemp("reach"), mirror=False)
+    Grid.from_function(shape("sphere"), 64).save(folder / "ball.zarr.zip")
+    Grid.from_function(shape("mirror"), 48).save(folder / "pair.zarr.zip")
     return folder
 
 
@@ -170,7 +172,7 @@ SCENES = {
 }
 
 
-def written(folder, scene, size=(14, 10)):
+def written(folder, scene, size=(9, 7)):
     camera, film, outputs, rest = scene
     asked = ", ".join(f'"{name}"' for name in outputs.split(","))
     text = f"background = [0.2, 0.4, 0.6]\n{camera}[film]\nsize = {list(size)}\n{film}outputs = [{asked}]\n{rest}"
@@ -182,16 +184,16 @@ def whole(path, view=None):
     """The scene with its grids loaded whole, all channels."""
     scene = load_scene(path)
     made = make_plan(scene)
-    fields = {
-        (asset.grid, asset.uv_mode): GridField(
-            Grid.load(asset.grid), kernel(scene.trace.kernel), "numpy", uv_mode=asset.uv_mode
-        )
-        for asset in made.assets
-    }
-    given_ = [fields[asset.grid, asset.uv_mode] for asset in made.assets]
+    given_ = [copy(prepared(asset.grid, scene.trace.kernel)) for asset in made.assets]
     for field, asset in zip(given_, made.assets, strict=True):
         field.uv_mode = asset.uv_mode
     return prepare(scene, field=given_, view=view)
+
+
+@cache
+def prepared(grid, name):
+    """A whole grid on NumPy, once for all tests: preparing it takes longer than the pictures."""
+    return GridField(Grid.load(grid), kernel(name), "numpy")
 
 
 def assert_equal(some, everything):
@@ -207,6 +209,27 @@ def left_out(stage):
     return [field.grid.bricks.left_out for field in fields if isinstance(field, GridField)]
 
 
+@pytest.fixture(scope="module")
+def loadings():
+    return {}
+
+
+@pytest.fixture
+def loaded_once(loadings, monkeypatch):
+    """Load once what several scenes see alike: preparing grids takes longer than the pictures."""
+    load = staging._load
+
+    def memoized(scene, share, told, choice):
+        stands = [(asset.scale, asset.rotate, asset.translate) for asset in scene.assets]
+        key = repr((scene.camera, stands, scene.trace.kernel, share.needs, share.places))
+        if key not in loadings:
+            loadings[key] = load(scene, share, told, choice)
+        return loadings[key]
+
+    monkeypatch.setattr(staging, "_load", memoized)
+
+
+@pytest.mark.usefixtures("loaded_once")
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_the_picture_is_that_of_whole_grids(folder, scene):
     path = written(folder, scene)
@@ -217,7 +240,7 @@ def test_the_picture_is_that_of_whole_grids(folder, scene):
 
 def test_given_rays_see_the_same(folder):
     path = written(folder, SCENES["close-up"])
-    view = GivenView(load_scene(path).camera.camera((14, 10)).rays(), (14, 10))
+    view = GivenView(load_scene(path).camera.camera((9, 7)).rays(), (9, 7))
     some = prepare(path, engine="numpy", view=view)
     assert left_out(some)[0].any()
     assert_equal(some, whole(path, view))
@@ -231,7 +254,7 @@ def test_too_small_a_reach_is_seen(folder, monkeypatch, share):
         return frusta(replace(view, camera=replace(view.camera, fov=share * view.camera.fov)))
 
     path = written(folder, (CLOSE.replace("6.0", "20.0"), "", "rgb,Z", _ball()))
-    monkeypatch.setattr(staging, "frusta", smaller)
+    monkeypatch.setattr(sharing, "frusta", smaller)
     some = prepare(path, engine="numpy")
     monkeypatch.undo()
     with pytest.raises(AssertionError):

@@ -11,7 +11,7 @@ from sdfbake.complaint import BadInput
 from sdfbake.engine import Array, Engine
 from sdfbake.engine.numpy import NumpyEngine
 from sdfrender import Field
-from sdfrender.field import Jet, Mapped, Spot
+from sdfrender.field import Jet, Mapped, Spot, Spread
 from sdfrender.vector import Vector
 from validate.counting import CHANNEL, JET, MARCH, CountingEngine, Work
 
@@ -89,9 +89,11 @@ class CountedField:
         self.is_distance, self.part_names, self.uv_mode = inner.is_distance, inner.part_names, inner.uv_mode
         self.prepare_uv = inner.prepare_uv
 
-    def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
+    def first_hit(
+        self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None, spread: Spread | None = None
+    ) -> Spot:
         """Find first hits."""
-        return self._inner.first_hit(_sent(xp, active), p, d, active, start)
+        return self._inner.first_hit(_sent(xp, active), p, d, active, start, spread)
 
     def occluded(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None, limit: Array) -> Array:
         """Say which rays meet anything."""

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from datasets_synthetic import ExactShape
 from sdfbake.engine import Array, Engine
 from sdfbake.engine.numpy import NumpyEngine
-from sdfrender.field import Jet, Mapped, Spot
+from sdfrender.field import Jet, Mapped, Spot, Spread
 from sdfrender.uvmode import EXACT
 from sdfrender.vector import Symmetric, Vector, select
 from validate.interior import CLEAR, leave
@@ -42,7 +42,9 @@ class ShapeField:
         """Names of the shape's parts."""
         return self.shape.part_names
 
-    def first_hit(self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None) -> Spot:
+    def first_hit(
+        self, xp: Engine, p: Vector, d: Vector, active: Array, start: Spot | None = None, spread: Spread | None = None
+    ) -> Spot:
         """First hits: entries in closed form; from inside, or inward from a place, where the ray leaves the solid."""
         left = np.zeros(len(active), bool) if start is None else start.hit & active
         if start is not None:

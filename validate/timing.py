@@ -7,7 +7,7 @@ else happens inside the clock.
 import os
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
@@ -46,9 +46,21 @@ class Timing:
 
 def measure(function: Callable[[], object], repeats: int = 5, warm_up: int = 1) -> Timing:
     """Time `function`: `warm_up` calls first (they compile and fill caches), then `repeats` that count."""
-    return Timing(
-        warm_up=tuple(_once(function) for _ in range(warm_up)), samples=tuple(_once(function) for _ in range(repeats))
-    )
+    return measure_in_turns({"": function}, repeats, warm_up)[""]
+
+
+def measure_in_turns(
+    functions: Mapping[str, Callable[[], object]], repeats: int = 5, warm_up: int = 1
+) -> dict[str, Timing]:
+    """Time functions that shall be compared in turns, so that a machine that slows down does so for all of them."""
+    rounds = [{name: _once(function) for name, function in functions.items()} for _ in range(warm_up + repeats)]
+    return {
+        name: Timing(
+            warm_up=tuple(times[name] for times in rounds[:warm_up]),
+            samples=tuple(times[name] for times in rounds[warm_up:]),
+        )
+        for name in functions
+    }
 
 
 def _once(function: Callable[[], object]) -> float:

@@ -25,8 +25,8 @@ def section(runs: Sequence[Run]) -> Section:
         "bytes read",
         "bricks in sight",
         "bricks read",
-        "time, NumPy",
-        "time, Dr.Jit",
+        "time, NumPy (as planned)",
+        "time, Dr.Jit (as planned)",
         "values that differ",
     )
     return Section(
@@ -57,10 +57,14 @@ def _row(name: str, run: Run, times: Sequence[Run]) -> tuple[str, ...]:
         percent(values["bytes"] / values["of_bytes"]),
         percent(values["in_sight"]),
         percent(values["bricks"] / values["of_bricks"]),
-        percent(share(times, name, "numpy")),
-        percent(share(times, name, "drjit")),
+        *(_both(share(times, name, engine), values.get(f"said.{engine}")) for engine in ("numpy", "drjit")),
         f"{values['differing']:.0f}" if "differing" in values else "-",
     )
+
+
+def _both(measured: float | None, said: float | None) -> str:
+    """Return a share as measured, and as the plan had it."""
+    return percent(measured) if measured is None or said is None else f"{percent(measured)} ({percent(said)})"
 
 
 def _finding(errors: dict[str, Run], times: Sequence[Run]) -> tuple[str, ...]:
@@ -77,8 +81,19 @@ def _finding(errors: dict[str, Run], times: Sequence[Run]) -> tuple[str, ...]:
         found = share(times, FLAT, engine)
         if found is not None:
             asked = f"at most {LIMITS[engine]:g}" + ("" if found <= LIMITS[engine] else " is asked for and NOT reached")
-            sentences.append(f"Flat colours take {number(found, 2)} of the time on {word} ({asked}).")
+            said = errors[FLAT].values.get(f"said.{engine}") if FLAT in errors else None
+            planned = f"; the plan had estimated {number(said, 2)}" if said is not None else ""
+            sentences.append(f"Flat colours take {number(found, 2)} of the time on {word} ({asked}){planned}.")
+    wrong = [name for name, run in errors.items() if any(_missed(run, what) for what in ("bytes", "bricks"))]
+    if errors and not wrong:
+        sentences.append("Bytes and bricks read are those that the plan said before, to the byte.")
+    elif wrong:
+        sentences.append(f"Bytes or bricks read are NOT those that the plan said: {', '.join(wrong)}.")
     return tuple(sentences)
+
+
+def _missed(run: Run, what: str) -> bool:
+    return run.values.get(f"said.{what}") != run.values[what]
 
 
 def _headlines(errors: dict[str, Run], times: Sequence[Run]) -> tuple[Headline, ...]:

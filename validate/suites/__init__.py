@@ -24,6 +24,7 @@ SUITES = (
     "cost",
     "engines",
     "savings",
+    "levels",
     "opinion",
     "scores",
     "baking",

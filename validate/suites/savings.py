@@ -1,18 +1,20 @@
 """What a scene leaves out, and what that saves: each planned, and with everything on, same rays.
 
 In: build/grids/bunny@512.zarr.zip. Out: error runs (whether pictures are the same to the last bit, bytes and bricks
-read, and counts of work as proof that what is left out is not done), and timed runs of both, engine by engine.
+read and predicted, the share of the time that the plan predicts, and counts of work as proof that what is left out is
+not done), and timed runs of both, engine by engine.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
 from sdfbake.gridfile import load_counted
 from sdfrender import GridField
+from sdfrender.forecast import forecast
 from sdfrender.reach import Sight, frusta
 from sdfrender.render import shoot
 from sdfrender.scene import Scene
@@ -20,11 +22,12 @@ from sdfrender.similarity import IDENTITY
 from sdfrender.stage import Stage, prepare
 from validate.counters import Counters
 from validate.experiment import Bench, Run, guarded, timed
-from validate.timing import measure
+from validate.timing import Timing, measure_in_turns
 
 RESOLUTION = 64  # of the grid that is traced for the clock: both engines prepare it at once
 LARGE = 512  # of the grid of which parts are read
-SIZES = {"numpy": 64, "drjit": 512}
+SIZES = {"numpy": 256, "drjit": 512}  # of the picture; with fewer pixels, NumPy times its own calls
+KINDS = ("planned", "everything")
 FEW = 48  # pixels along a side where bits and work are compared
 EVERYTHING = ("rgb", "Z", "P", "N", "curvature", "uv", "chart", "duv_dx", "duv_dy", "lod", "lod_invariant", "flags")
 # Work that only what is left out takes.
@@ -59,9 +62,10 @@ def run(bench: Bench) -> Iterator[Run]:
         blank = Run("savings", name, {"engine": "numpy"}, {"resolution": case.resolution}, "error")
         yield guarded(blank, partial(_compared, blank, case, path))
         for engine, size in SIZES.items() if case.timed else ():
-            for kind in ("planned", "everything"):
+            timings = cache(partial(_timings, case, path, engine, size))  # of both, had when the first is asked for
+            for kind in KINDS:
                 clock = replace(blank, kind="timing", setup={"engine": engine, "what": kind})
-                yield guarded(clock, partial(_timed, clock, case, path, size))
+                yield guarded(clock, partial(_timed, clock, timings, size))
 
 
 def scene(case: Case, grid: Path, size: int) -> Scene:
@@ -108,6 +112,7 @@ def _compared(blank: Run, case: Case, grid: Path) -> Run:
         "of_bricks": float(whole.bricks),
         "in_sight": float(in_sight(stage, grid)),
         "left_out": float(len(stage.plan.left_out)),
+        **_predicted(made, stage),
     }
     if case.timed:  # a large grid takes its time on NumPy: there the part alone is loaded
         full = everything(made, stage)
@@ -118,6 +123,17 @@ def _compared(blank: Run, case: Case, grid: Path) -> Run:
     return replace(blank, values=values)
 
 
+def _predicted(made: Scene, stage: Stage) -> dict[str, float]:
+    """Return what the plan says before anything is loaded: bytes, bricks, and the shares of the tracing time."""
+    found = forecast(made, stage.plan, stage.view)
+    (grid,), total = found.grids, found.total
+    engines = ("numpy", "drjit")
+    shares = {engine: getattr(total.seconds, engine) / getattr(total.of_seconds, engine) for engine in engines}
+    return {"said.bytes": float(grid.bytes), "said.bricks": float(grid.bricks or 0)} | {
+        f"said.{engine}": share for engine, share in shares.items()
+    }
+
+
 def _work(stage: Stage) -> dict[str, float]:
     """Count what tracing takes per ray."""
     counters = Counters(stage.choice.engine.precision)
@@ -126,10 +142,13 @@ def _work(stage: Stage) -> dict[str, float]:
     return {name: count / FEW**2 for name, count in asdict(counters.work).items()}
 
 
-def _timed(blank: Run, case: Case, grid: Path, size: int) -> Run:
+def _timings(case: Case, grid: Path, engine: str, size: int) -> dict[str, Timing]:
+    """Time both, in turns."""
     made = scene(case, grid, size)
-    stage = prepare(made, engine=blank.setup["engine"])
-    if blank.setup["what"] == "everything":
-        stage = everything(made, stage)
-    trace: Callable[[], object] = partial(shoot, stage)
-    return timed(blank.suite, blank.problem, blank.setup, blank.knob, measure(trace, repeats=3), rays=size**2)
+    planned = prepare(made, engine=engine)
+    stages = dict(zip(KINDS, (planned, everything(made, planned)), strict=True))
+    return measure_in_turns({kind: partial(shoot, stage) for kind, stage in stages.items()}, repeats=3)
+
+
+def _timed(blank: Run, timings: Callable[[], dict[str, Timing]], size: int) -> Run:
+    return timed(blank.suite, blank.problem, blank.setup, blank.knob, timings()[blank.setup["what"]], rays=size**2)
