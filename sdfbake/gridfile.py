@@ -14,10 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import zarr
 from jaxtyping import Bool, Int
-from zarr.codecs import BloscCodec
-from zarr.storage import MemoryStore
 
 from sdfbake.atomic import replacing
 from sdfbake.bricks import Bricks
@@ -175,6 +172,10 @@ def _arrays(grid: Grid) -> dict[str, np.ndarray]:
 
 def _encoded(grid: Grid) -> dict[str, bytes]:
     """Return the entries of the archive: Zarr's documents and chunks."""
+    import zarr  # here, so that a grid is read without it
+    from zarr.codecs import BloscCodec
+    from zarr.storage import MemoryStore
+
     arrays = _arrays(grid)  # checksums are of these, whatever the order of bricks in the file
     metadata = grid.metadata.model_copy(update={"checksums": {name: _checksum(a) for name, a in arrays.items()}})
     entries: dict[str, Any] = {}
@@ -218,7 +219,7 @@ def _in_file_order(arrays: Mapping[str, np.ndarray], bricks: Bricks) -> dict[str
 
 def _checksum(values: np.ndarray) -> str:
     """Return the SHA-256 of an array's little-endian bytes in C order."""
-    return hashlib.sha256(values.astype(values.dtype.newbyteorder("<"), copy=False).tobytes()).hexdigest()
+    return hashlib.sha256(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).data).hexdigest()
 
 
 def _write_archive(path: Path, entries: Mapping[str, bytes]) -> None:
