@@ -28,4 +28,5 @@ SUITES = (
     "scores",
     "baking",
     "rendering",
+    "consumers",
 )
