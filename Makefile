@@ -59,10 +59,15 @@ BAKE_CODE := $(wildcard sdfbake/*.py)
 RENDER_CODE := $(wildcard sdfrender/*.py sdfbake/engine/*.py) $(addprefix sdfbake/,grid.py gridfile.py gridreading.py foretelling.py gridchunks.py gridlayout.py bricks.py lattice.py)
 CHECK_CODE := $(wildcard validate/*.py validate/suites/*.py validate/stress/*.py)
 
-# Pythons in which other bakers and renderers are looked for, beside the system's and ours; separated as in PATH.
-export PEER_PYTHONS ?= $(subst $(eval ) ,:,$(wildcard $(BUILD)/trueform/bin/python $(BUILD)/mitsuba/bin/python))
+# Other programs, in an environment of their own.
+CONSUMERS := $(BUILD)/consumers
+CONSUMERS_READY := $(CONSUMERS)/.ready
 
-.PHONY: help setup report test format-check lint types imports pytest bench bench-bake bench-render trueform mitsuba clean meshes grids renders
+# Pythons in which other programs are looked for, beside the system's and ours; separated as in PATH.
+export PEER_PYTHONS ?= $(BUILD)/trueform/bin/python:$(CONSUMERS)/bin/python
+
+.PHONY: help setup report test format-check lint types imports pytest bench bench-bake bench-render trueform mitsuba \
+	consumers openvdb clean meshes grids renders
 .DEFAULT_GOAL := help
 
 help:  ## say what can be made
@@ -159,9 +164,10 @@ $(eval $(call uses,lights,bunny@512,$(call grid,exact-sheet@128) $(PAGE)))
 report: $(BUILD)/report/index.html  ## the main job: build/report/index.html
 	@echo "the report is $<"
 
-# The benchmarks against other tools are shown where they lie, and never run for the report.
-SHOWN := $(RUN_FILES) $(wildcard $(call runs,baking) $(call runs,rendering))
-$(call runs,baking) $(call runs,rendering): ;
+# What was measured against other programs is shown where it lies, and never run for the report.
+OTHERS := $(foreach s,baking rendering consumers,$(call runs,$(s)))
+SHOWN := $(RUN_FILES) $(wildcard $(OTHERS))
+$(OTHERS): ;
 
 $(BUILD)/report/index.html: $(SHOWN) $(wildcard validate/*.py validate/peers/*.py validate/sections/*.py validate/templates/*) | $(READY)
 	$(PY) -m validate report $(SHOWN) -o $(@D)
@@ -213,7 +219,7 @@ types: $(READY)  ## mypy, strict
 imports: $(READY)  ## which room may import what
 	$(VENV)/bin/lint-imports
 
-pytest: $(READY)  ## the tests alone, some files side by side
+pytest: $(READY) $(CONSUMERS_READY)  ## the tests alone, some files side by side
 	$(PY) -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 bench: $(READY)  ## the timed experiments alone, anew
@@ -226,9 +232,24 @@ bench-bake: $(foreach m,$(BAKED),$(call mesh,$(m))) | $(READY)  ## ours against 
 bench-render: | $(READY)  ## ours against Mitsuba's sdfgrid, where it is
 	$(PY) -m validate run rendering -o $(call runs,rendering) --build $(BUILD)
 
-mitsuba:  ## install Mitsuba 3 for bench-render, in an environment of its own
-	$(PYTHON) -m venv $(BUILD)/mitsuba
-	$(BUILD)/mitsuba/bin/python -m pip install --quiet --disable-pip-version-check numpy mitsuba
+consumers: $(CONSUMERS_READY) openvdb $(foreach n,256 512,$(call grid,bunny@$(n))) | $(READY)  ## exported grids in the programs they are for
+	$(PY) -m validate run consumers -o $(call runs,consumers) --build $(BUILD)
+
+# What cannot be installed is not checked, and the report says so.
+$(CONSUMERS_READY): | $(READY)
+	$(PYTHON) -m venv $(CONSUMERS)
+	@for package in mitsuba pyvista tinyvdb; do \
+		$(CONSUMERS)/bin/python -m pip install --quiet --no-compile --disable-pip-version-check numpy $$package \
+			|| echo "note: $$package cannot be installed here, and is not checked" >&2; done
+	@touch $@
+
+openvdb:
+	@if command -v nanovdb_convert > /dev/null && /usr/bin/python3 -c 'import pyopenvdb' 2> /dev/null; then exit; fi; \
+	if [ "$$(id -u)" = 0 ] && command -v apt-get > /dev/null; then \
+		apt-get install --quiet --yes python3-openvdb libnanovdb-tools > /dev/null && exit; fi; \
+	echo "note: OpenVDB and NanoVDB are not here, and are not checked (Debian: apt install python3-openvdb libnanovdb-tools)" >&2
+
+mitsuba: $(CONSUMERS_READY)  ## install Mitsuba 3 for bench-render, in an environment of its own
 
 trueform:  ## install trueform for bench-bake; PolyForm Noncommercial: yours to accept
 	$(PYTHON) -m venv $(BUILD)/trueform

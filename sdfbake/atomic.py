@@ -5,8 +5,8 @@ In: a final path. Out: a temporary path beside it to write to, renamed when the 
 
 import secrets
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from sdfbake.complaint import BadInput
@@ -45,6 +45,16 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise BadInput(f"cannot write {path} ({error.strerror}): free some space or choose another output") from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def replacing_all(paths: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
+    """Yield a temporary sibling of every path, as `replacing` does; all take their places when the block succeeds.
+
+    The first takes its place last: whoever sees it sees all.
+    """
+    with ExitStack() as stack:
+        yield tuple([stack.enter_context(replacing(path)) for path in paths])
 
 
 def check_writable(path: str | Path) -> None:

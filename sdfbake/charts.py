@@ -6,12 +6,13 @@ edge and both its ends have the same texture coordinates on either side.
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 
 def charts_of(faces: Int[np.ndarray, "f 3"], uv: Float[np.ndarray, "f 3 2"]) -> Int[np.ndarray, " f"]:
     """Return the chart of every face, int32, numbered by the charts' lowest faces."""
+    from scipy.sparse import coo_array  # here, so that `import sdfbake` is light
+    from scipy.sparse.csgraph import connected_components
+
     corners = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     ends = np.stack([uv, np.roll(uv, -1, axis=1)], axis=2).reshape(-1, 2, 2) + 0.0  # no -0.0: bits are compared
     order = np.argsort(corners, axis=1, kind="stable")

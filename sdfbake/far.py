@@ -7,7 +7,6 @@ absent bricks that touch have one sign, that of any sample next to them.
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy import ndimage
 
 from sdfbake.bricks import SIDE
 from sdfbake.lattice import Lattice
@@ -44,6 +43,8 @@ def far_bounds(
     far
         Float32, world units: no point of the brick's closed cube of cells is nearer to the surface than that.
     """
+    from scipy import ndimage  # here, so that `import sdfbake` is light
+
     absent, spacing = ~present, lattice.spacing
     if not absent.any():
         return np.zeros(present.shape, np.float32)
@@ -68,6 +69,8 @@ def _touched(
 
     A sample next to an absent brick is at least reach - 1 voxels from the surface, and one voxel from the brick's own.
     """
+    from scipy import ndimage
+
     group, count = ndimage.label(absent)
     inside, outside = np.zeros(count + 1, bool), np.zeros(count + 1, bool)
     for axis in range(3):

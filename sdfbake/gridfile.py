@@ -11,9 +11,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import zarr
-from zarr.codecs import BloscCodec
-from zarr.storage import MemoryStore
 
 from sdfbake.atomic import replacing
 from sdfbake.bricks import Bricks
@@ -212,6 +209,10 @@ def _encoded(grid: Grid) -> dict[str, bytes]:
 
 def _of_level(grid: Grid, *, lent: bool) -> dict[str, bytes]:
     """Return the entries of one level; where it is `lent` the table of faces that the finest has, without that."""
+    import zarr  # here, so that a grid is read without it
+    from zarr.codecs import BloscCodec
+    from zarr.storage import MemoryStore
+
     arrays = _arrays(grid)  # checksums are of these, whatever the order of bricks in the file
     metadata = grid.metadata.model_copy(update={"checksums": {name: checksum(a) for name, a in arrays.items()}})
     arrays = {name: values for name, values in arrays.items() if not (lent and is_lent(name))}

@@ -119,7 +119,7 @@ def group_of(group: str, record: FaceTable | Layers) -> dict[str, np.ndarray]:
 
 def checksum(values: np.ndarray) -> str:
     """Return the SHA-256 of an array's little-endian bytes in C order."""
-    return hashlib.sha256(values.astype(values.dtype.newbyteorder("<"), copy=False).tobytes()).hexdigest()
+    return hashlib.sha256(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).data).hexdigest()
 
 
 def _names(metadata: Metadata) -> list[str]:

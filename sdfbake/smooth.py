@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from sdfbake.complaint import BadInput
 from sdfbake.diagnosis import proper
@@ -211,6 +209,9 @@ def _fans(level: _Level, topology: Topology) -> tuple[Int[np.ndarray, " c"], Int
 
     The vertices of the cut mesh are the fans of corners that hang together across edges that are no creases.
     """
+    from scipy.sparse import coo_array  # here, so that `import sdfbake` is light
+    from scipy.sparse.csgraph import connected_components
+
     count = level.faces.size
     corner = np.arange(count).reshape(-1, 3)
     ends = np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1)

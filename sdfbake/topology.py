@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +108,9 @@ class Topology:
 
     def _linked(self, faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, " s"]:
         """Number the fan of every corner of any mesh."""
+        from scipy.sparse import coo_array  # here, so that `import sdfbake` is light
+        from scipy.sparse.csgraph import connected_components
+
         corner = np.arange(faces.size).reshape(-1, 3)
         # Side k of a face joins corner k and corner k + 1: both faces of an edge see the same two vertices there.
         ends = np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1)

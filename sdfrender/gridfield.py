@@ -306,7 +306,9 @@ def _beyond(grid: Grid, kernel: Kernel, engine: Engine) -> Array | None:
     if grid.metadata.band >= BAND:
         return None
     limit = np.float32(grid.metadata.band * grid.lattice.spacing * (1 - 1e-6))
-    far = (np.abs(grid.distance) >= limit).astype(np.int32)
+    # Numbered like a chessboard, so that a cell differs that sees nothing but such samples.
+    board = 1 + np.indices(grid.distance.shape[1:]).sum(axis=0) % 2
+    far = np.where(np.abs(grid.distance) >= limit, board, 0).astype(np.int32)
     return engine.table(mixed_cells(far, grid.bricks, grid.lattice.shape, kernel))
 
 

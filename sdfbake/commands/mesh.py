@@ -31,7 +31,7 @@ def mesh(grid: Path, output: Path, against: Path | None, *, as_json: bool) -> No
     other = None if against is None else _readable(against)
     with progress() as report:
         report("reading", 0)
-        loaded = Grid.load(grid, ())
+        loaded = Grid.load(grid, (), levels=False)
         report("marching cubes", 0)
         surface = isosurface(loaded)
         distances: dict[str, Any] = {}

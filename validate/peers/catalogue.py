@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 from sdfbake.engine import choose
 from validate.peers.process import Process
@@ -110,8 +111,8 @@ class Found:
 
 
 def pythons() -> tuple[str, ...]:
-    """Pythons to look into: this one, those of PEER_PYTHONS, the system's."""
-    named = [path for path in os.environ.get("PEER_PYTHONS", "").split(os.pathsep) if path]
+    """Pythons to look into: this one, those of PEER_PYTHONS that exist, the system's."""
+    named = [path for path in os.environ.get("PEER_PYTHONS", "").split(os.pathsep) if Path(path).is_file()]
     return tuple(dict.fromkeys([sys.executable, *map(os.path.abspath, named), "/usr/bin/python3"]))
 
 

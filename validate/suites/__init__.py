@@ -29,4 +29,5 @@ SUITES = (
     "scores",
     "baking",
     "rendering",
+    "consumers",
 )

@@ -1,0 +1,237 @@
+"""Texture coordinates at single samples, for formats that have one value per sample.
+
+In: a grid with any of the modes. Out: `Textured`: coordinates and chart of the closest surface point (Galim 2018,
+eq. 22) of every sample that was asked for, and a mask of the cells across which they must not be interpolated.
+"""
+
+import os
+from collections.abc import Collection
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from sdfbake import triangle
+from sdfbake.bricks import REACH, SIDE, Bricks, in_lattice
+from sdfbake.engine.numpy import NumpyEngine
+from sdfbake.faces import FaceTable
+from sdfbake.grid import Grid
+from sdfbake.lattice import Lattice
+from sdfbake.layers import FULL, Layers
+
+_NONE = -1  # the chart of samples of which nothing is known
+_ENGINE = NumpyEngine(64)
+_CHUNK = 1 << 14  # points whose some thirty temporary columns stay in a core's cache
+_BRICKS = 4096  # bricks whose cells are looked at together
+_MOST = np.iinfo(np.int32).max
+_SLIVER = 1e-4  # height over the longest edge: below, the plane is not trusted
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Textured:
+    """Texture coordinates per stored sample.
+
+    Attributes
+    ----------
+    uv
+        Of the closest surface point, float32; 0 where there are none or they were not asked for.
+    chart
+        Chart of that point, int32; -1 there.
+    seam
+        Whether the cell that a sample is the first corner of has corners in several charts, among those that have one.
+    """
+
+    uv: Float[np.ndarray, "k 8 8 8 2"]
+    chart: Int[np.ndarray, "k 8 8 8"]
+    seam: Bool[np.ndarray, "k 8 8 8"]
+
+
+def channels(modes: Collection[str]) -> tuple[str, ...]:
+    """Return the channels of a grid file that `textured` needs, given the modes that the file has."""
+    needed = {"faces": ("face",), "grid": ("uv", "chart"), "layers": ("layers",)}  # the quickest to read first
+    return next((names for mode, names in needed.items() if mode in modes), ())
+
+
+def textured(grid: Grid, wanted: Bool[np.ndarray, "k 8 8 8"] | None = None) -> Textured | None:
+    """Return the texture coordinates of samples.
+
+    They are, of what the grid has the first: its coordinates by sample; those of the point of the named face that is
+    closest to the sample; those of the row of layers with the least border distance, which go on past the border of
+    its chart.
+
+    Parameters
+    ----------
+    grid
+        Any grid.
+    wanted
+        The samples to do this for; None for all of which the grid knows a closest point.
+
+    Returns
+    -------
+    Textured
+        None where the grid has no texture coordinates.
+    """
+    asked = np.ones(grid.distance.shape, bool) if wanted is None else wanted
+    if grid.uv is not None:
+        uv, chart = _of_samples(grid, asked)
+    elif grid.face is not None and grid.surface is not None:
+        uv, chart = _of_faces(grid.lattice, grid.bricks, grid.surface, np.where(asked, grid.face, _NONE))
+    elif grid.layers is not None:
+        uv, chart = _of_layers(grid.layers, asked)
+    else:
+        return None
+    return Textured(uv, chart, _seams(grid.bricks, chart))
+
+
+def _of_samples(
+    grid: Grid, asked: Bool[np.ndarray, "k 8 8 8"]
+) -> tuple[Float[np.ndarray, "k 8 8 8 2"], Int[np.ndarray, "k 8 8 8"]]:
+    """Return what the grid stores by sample, where it stores anything."""
+    assert grid.uv is not None
+    reach = np.float32(REACH * grid.lattice.spacing)  # what is beyond is clamped to it
+    known = asked & (np.abs(grid.distance) < reach)
+    known &= in_lattice(grid.bricks.index, grid.lattice.shape)
+    chart = np.where(known, np.int32(0) if grid.chart is None else grid.chart, np.int32(_NONE))
+    return np.where(known[..., None], grid.uv, np.float32(0)), chart
+
+
+def _of_faces(
+    lattice: Lattice, bricks: Bricks, surface: FaceTable, face: Int[np.ndarray, "k 8 8 8"]
+) -> tuple[Float[np.ndarray, "k 8 8 8 2"], Int[np.ndarray, "k 8 8 8"]]:
+    """Return those of the closest points of named faces (k, 8, 8, 8), -1 for none."""
+    uv, chart = np.zeros((face.size, 2), np.float32), np.full(face.size, _NONE, np.int32)
+    at = np.flatnonzero(face >= 0)
+    flat, table = face.reshape(-1), _Faces.of(lattice, surface)
+
+    def fill(start: int) -> None:
+        part = at[start : start + _CHUNK]
+        named = flat[part]
+        inner = np.unravel_index(part % SIDE**3, (SIDE, SIDE, SIDE))
+        p = bricks.index[part // SIDE**3].T * np.float64(SIDE) + inner
+        uv[part], chart[part] = table.closest_uv(named, p).T, surface.chart[named]
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(fill, range(0, len(at), _CHUNK)))
+    return uv.reshape(*face.shape, 2), chart.reshape(face.shape)
+
+
+class _Faces(NamedTuple):
+    """Faces in voxels, where the indices of samples are exact.
+
+    Attributes
+    ----------
+    corners
+        Corners a, b, c one after the other.
+    uv
+        Texture coordinates of the corners.
+    weights
+        Gradients of the weights of b and of c at the foot of a point p on the plane, weight = gradient . (p - a);
+        NaN for slivers, whose planes are mostly rounding.
+    """
+
+    corners: Float[np.ndarray, "f 9"]
+    uv: Float[np.ndarray, "f 6"]
+    weights: Float[np.ndarray, "f 6"]
+
+    @staticmethod
+    def of(lattice: Lattice, surface: FaceTable) -> "_Faces":
+        """Build the tables."""
+        corners = lattice.to_grid(surface.vertices)[surface.corners]
+        ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        normal = np.cross(ab, ac)
+        square, longest = (normal**2).sum(axis=1), np.maximum((ab**2).sum(axis=1), (ac**2).sum(axis=1))
+        square[square <= (_SLIVER * longest) ** 2] = np.nan
+        weights = np.concatenate([np.cross(ac, normal), np.cross(normal, ab)], axis=1) / square[:, None]
+        return _Faces(corners.reshape(-1, 9), surface.uv.reshape(-1, 6), weights)
+
+    def closest_uv(self, named: Int[np.ndarray, " n"], p: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "2 n"]:
+        """Return the texture coordinates of the points of faces that are closest to p, voxels."""
+        corners, gradient = self.corners[named].T, self.weights[named].T
+        to = p - corners[:3]
+        of_b, of_c = (gradient[:3] * to).sum(axis=0), (gradient[3:] * to).sum(axis=0)
+        weight = np.stack([1 - of_b - of_c, of_b, of_c])
+        # Most feet lie within their face, and are the closest points; the others, and slivers, take the longer way.
+        other = np.flatnonzero(~(weight > 0).all(axis=0))
+        weight[:, other] = _closest(corners[:, other], p[:, other])
+        found: Float[np.ndarray, "2 n"] = np.einsum("cn,nca->an", weight, self.uv[named].reshape(-1, 3, 2))
+        return found
+
+
+def _closest(corners: Float[np.ndarray, "9 n"], p: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3 n"]:
+    """Return the weights of the corners at the points of faces that are closest to p."""
+    x, (px, py, pz) = np.ascontiguousarray(corners), p
+    with np.errstate(all="ignore"):  # what has no plane is asked for one all the same
+        found = triangle.nearest(_ENGINE, (px, py, pz), ((x[0], x[1], x[2]), (x[3], x[4], x[5]), (x[6], x[7], x[8])))
+    return np.stack(found.barycentric)
+
+
+def _of_layers(
+    layers: Layers, asked: Bool[np.ndarray, "k 8 8 8"]
+) -> tuple[Float[np.ndarray, "k 8 8 8 2"], Int[np.ndarray, "k 8 8 8"]]:
+    """Return those of the row with the least border distance, of the first of several; turn by turn over the rows."""
+    least = np.full(asked.shape, np.inf, np.float16)
+    uv, chart = np.zeros((*asked.shape, 2), np.float32), np.full(asked.shape, _NONE, np.int32)
+    turn = np.arange(len(layers.brick)) - np.searchsorted(layers.brick, layers.brick)
+    for number in range(int(turn.max(initial=-1)) + 1):
+        row = np.flatnonzero(turn == number)  # of every brick one at most
+        brick = layers.brick[row]
+        nearer = (layers.border[row] < least[brick]) & asked[brick]
+        of_row, *inner = np.nonzero(nearer)
+        at = (brick[of_row], *inner)
+        virtual = layers.chart[row][of_row]
+        code = layers.uv[(row[of_row], *inner)]
+        least[at] = layers.border[(row[of_row], *inner)]
+        uv[at] = layers.offset[virtual] + layers.scale[virtual] * (code / FULL)
+        chart[at] = layers.of[virtual]
+    return uv, chart
+
+
+def _seams(bricks: Bricks, chart: Int[np.ndarray, "k 8 8 8"]) -> Bool[np.ndarray, "k 8 8 8"]:
+    """Say of every cell whether its corners belong to several charts; -1 is none.
+
+    Only bricks are looked at that see several charts, with the seven that their last cells reach into.
+    """
+    low = np.where(chart < 0, _MOST, chart).min(axis=(1, 2, 3), initial=_MOST)
+    high = chart.max(axis=(1, 2, 3), initial=_NONE)
+    reached = _reached(bricks)
+    low, high = np.append(low, _MOST), np.append(high, _NONE)  # what a slot of -1 finds
+    several = np.flatnonzero(low[reached].min(axis=1) < high[reached].max(axis=1))
+    seam = np.zeros(chart.shape, bool)
+    for start in range(0, len(several), _BRICKS):
+        part = several[start : start + _BRICKS]
+        seam[part] = _several(chart, reached[part])
+    return seam
+
+
+def _reached(bricks: Bricks) -> Int[np.ndarray, "k 8"]:
+    """Return the slots of every brick and of its seven neighbours on the far sides, -1 where there is none."""
+    slot = np.pad(bricks.slot, (0, 1), constant_values=-1)
+    found: Int[np.ndarray, "k 8"] = np.stack(
+        [slot[tuple((bricks.index + step).T)] for step in product((0, 1), repeat=3)], axis=1
+    )
+    return found
+
+
+def _several(chart: Int[np.ndarray, "k 8 8 8"], reached: Int[np.ndarray, "n 8"]) -> Bool[np.ndarray, "n 8 8 8"]:
+    """Say of every cell of some bricks whether its corners belong to several charts."""
+    seen = np.full((len(reached), SIDE + 1, SIDE + 1, SIDE + 1), _NONE, np.int32)
+    for column, step in enumerate(product((0, 1), repeat=3)):
+        there = reached[:, column] >= 0
+        to = tuple(slice(SIDE, None) if far else slice(SIDE) for far in step)
+        of = tuple(slice(1) if far else slice(None) for far in step)
+        seen[(there, *to)] = chart[(reached[there, column], *of)]
+    low, high = np.where(seen < 0, _MOST, seen), seen
+    for axis in (1, 2, 3):
+        first, second = _pair(axis)
+        low = np.minimum(low[first], low[second])
+        high = np.maximum(high[first], high[second])
+    return low < high
+
+
+def _pair(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Return what selects all but the last, and all but the first, along an axis."""
+    before = (slice(None),) * axis
+    return (*before, slice(-1)), (*before, slice(1, None))
