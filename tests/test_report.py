@@ -160,7 +160,7 @@ def test_same_runs_give_the_same_bytes(lines: Path, page: str, tmp_path: Path) -
 
 
 def test_failed_runs_are_shown(page: str) -> None:
-    assert "Runs that failed" in page and "failed: no &lt;LLVM&gt;" in page
+    assert "Runs without a result" in page and "failed: no &lt;LLVM&gt;" in page
 
 
 def test_findings_are_written_from_the_numbers(page: str) -> None:

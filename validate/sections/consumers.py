@@ -150,7 +150,7 @@ def _table(runs: Sequence[Run]) -> Table:
         result = f"no: {', '.join(off)}" if off else "agrees"
         rows.append((what, at, named, _said(worst), number(worst.values["limit"]), result))
     header = ("Format, program", "grid", "what was compared", "error nearest to its limit, voxel", "limit", "result")
-    return Table("What every program reads, against ours.", header, tuple(rows), prose=(1, 2, 3, 5))
+    return Table("What every program reads, against ours.", header, tuple(rows), prose=(2, 1, 3, 5))
 
 
 def _said(run: Run) -> str:

@@ -26,8 +26,8 @@ NOTES = (
 )
 TINY = 1e-7  # of a pixel: where a difference of 0 is drawn
 HEADER = (
-    "Picture", "share", "levels' voxels, pixels", "hit, pixels", "95 %", "normal, degrees", "J, relative",
-    "level of detail", "hit or missed", "MSE, truth", "FLIP, truth", "µs per ray",
+    "Picture", "share", "voxels, px", "hit, px", "95 %", "normal, °", "J",
+    "LoD", "hit or missed", "MSE", "FLIP", "µs per ray",
 )  # fmt: skip
 
 
@@ -38,7 +38,17 @@ def section(runs: Sequence[Run]) -> Section:
     errors.sort(key=lambda run: (order.index(run.problem), -run.knob["pixels"], run.knob["share"]))
     clock = {_key(run): run.values["us_per_ray"] for run in pick(runs, "timing") if run.problem != FAR}
     rows = tuple(_row(run, clock) for run in errors)
-    tables = (Table("By the share of a ray's width that voxels may have.", HEADER, rows),) if rows else ()
+    tables = (
+        (
+            Table(
+                "By the share of a ray's width that voxels may have; J is relative, MSE and FLIP are from supersampled truths.",
+                HEADER,
+                rows,
+            ),
+        )
+        if rows
+        else ()
+    )
     return Section(
         name="levels",
         title=TITLE,
