@@ -38,17 +38,10 @@ def section(runs: Sequence[Run]) -> Section:
     errors.sort(key=lambda run: (order.index(run.problem), -run.knob["pixels"], run.knob["share"]))
     clock = {_key(run): run.values["us_per_ray"] for run in pick(runs, "timing") if run.problem != FAR}
     rows = tuple(_row(run, clock) for run in errors)
-    tables = (
-        (
-            Table(
-                "By the share of a ray's width that voxels may have; J is relative, MSE and FLIP are from supersampled truths.",
-                HEADER,
-                rows,
-            ),
-        )
-        if rows
-        else ()
+    about = (
+        "By the share of a ray's width that voxels may have; J is relative, MSE and FLIP are from supersampled truths."
     )
+    tables = (Table(about, HEADER, rows),) if rows else ()
     return Section(
         name="levels",
         title=TITLE,
