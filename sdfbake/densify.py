@@ -1,17 +1,18 @@
-"""A grid as a dense array, a slab at a time.
+"""A grid as a dense array, a plane at a time.
 
-In: a grid, and its surface where distances far from it shall be exact. Out: float32 samples in slabs of eight along an
-axis, so that memory stays within a slab. What the bricks do not hold is filled by its signed lower bound, or asked of
+In: a grid, and its surface where distances far from it shall be exact. Out: float32 samples in planes across an axis,
+so that memory stays within a few planes. What the bricks do not hold is filled by its signed lower bound, or asked of
 the surface.
 """
 
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from sdfbake.bake import mesh_hash
-from sdfbake.bricks import SIDE, Bricks
+from sdfbake.bricks import SIDE, Bricks, counts
 from sdfbake.closest import Surface
 from sdfbake.complaint import BadInput
 from sdfbake.grid import Grid
@@ -19,8 +20,8 @@ from sdfbake.lattice import BAND, Lattice
 from sdfbake.mesh import Mesh
 
 Progress = Callable[[str, float], None]
-_CHUNK = 1 << 17  # points asked for at once
-_COPIED = 64  # bricks copied at once: what is fetched of them is small beside a slab
+Part = tuple[slice, slice, slice]  # of the samples of a brick
+_CHUNK = 1 << 15  # points asked for at once
 
 
 def dense(grid: Grid, exact: Mesh | bool = False, progress: Progress | None = None) -> Float[np.ndarray, "nx ny nz"]:
@@ -43,17 +44,15 @@ def dense(grid: Grid, exact: Mesh | bool = False, progress: Progress | None = No
     """
     surface = surface_of(grid, exact)
     filled = np.empty(grid.lattice.shape, np.float32)
-    first = 0
-    for slab in slabs(grid, surface, progress):
-        filled[first : first + len(slab)] = slab
-        first += len(slab)
+    for number, values in enumerate(planes(grid, surface, progress)):
+        filled[number] = values
     return filled
 
 
-def slabs(
+def planes(
     grid: Grid, surface: Surface | None = None, progress: Progress | None = None, axis: int = 0
-) -> Iterator[Float[np.ndarray, "sx sy sz"]]:
-    """Yield the samples of a grid in slabs.
+) -> Iterator[Float[np.ndarray, "slow fast"]]:
+    """Yield the samples of a grid in planes.
 
     Parameters
     ----------
@@ -64,80 +63,102 @@ def slabs(
     progress
         Called with a stage and the share of it that is done, 0 to 1.
     axis
-        Along which the slabs follow each other.
+        Across which the planes lie, one after the other.
 
     Yields
     ------
-    slab
-        Indexed [x, y, z]: eight samples along the axis, in the last slab what is left; all samples along the others.
-        In memory the axis is the slowest, then the next to it (see `order`). World units, float32. The caller's own:
-        whoever lets go of it before asking for the next has one at a time in memory.
+    plane
+        Indexed by the two other axes, the one next to `axis` first: [y, z] across x, [y, x] across z; C order. World
+        units, float32. The caller's own.
     """
     report = progress or (lambda stage, share: None)
-    count = grid.bricks.slot.shape[axis]
+    count = grid.lattice.shape[axis]
     report("dense", 0)
     for number in range(count):
-        yield slab(grid, number, axis, surface)
+        yield plane(grid, number, axis, surface)
         report("dense", (number + 1) / count)
 
 
-def order(axis: int) -> tuple[int, int, int]:
-    """Return the axes of a slab as they lie in memory, the slowest first: x y z along x, z y x along z."""
-    slowest, middle, fastest = sorted(range(3), key=lambda other: abs(other - axis))
-    return slowest, middle, fastest
+def order(axis: int) -> tuple[int, int]:
+    """Return the axes of a plane across that one: the next to it, which is the slower, and the farthest."""
+    slow, fast = sorted((other for other in range(3) if other != axis), key=lambda other: abs(other - axis))
+    return slow, fast
 
 
-def slab(grid: Grid, number: int, axis: int = 0, surface: Surface | None = None) -> Float[np.ndarray, "sx sy sz"]:
-    """Return the slab of that number; see `slabs`."""
-    bricks = grid.bricks
-    values = layer(bricks, grid.lattice, grid.distance, bricks.far.take([number], axis), number, axis)
+def plane(grid: Grid, number: int, axis: int = 0, surface: Surface | None = None) -> Float[np.ndarray, "slow fast"]:
+    """Return the plane of that number; see `planes`."""
+    far = grid.bricks.far.take(number // SIDE, axis)
+    cut = Cut.of(grid.bricks, number, axis)
+    values = cut.spread(grid.lattice, cut.taken(grid.distance), far if axis < 2 else far.T)
     if surface is not None:
-        _make_exact(values, grid, number, axis, surface)
+        _make_exact(values, grid, cut, surface)
     return values
 
 
-def layer(
-    bricks: Bricks, lattice: Lattice, values: np.ndarray, absent: np.ndarray | float, number: int, axis: int
-) -> np.ndarray:
-    """Return what is stored per sample, of one layer of bricks.
+class Cut(NamedTuple):
+    """A plane of samples across an axis.
 
-    Parameters
+    Attributes
     ----------
-    bricks, lattice
-        Where the values are.
-    values
-        (k, 8, 8, 8, ...), a row per brick.
-    absent
-        What samples have whose brick is absent: one number, or one per brick of the layer, of the table's shape but for
-        1 along the axis.
     number, axis
-        Which layer, counted along which axis.
-
-    Returns
-    -------
-    slab
-        (sx, sy, sz, ...), in memory as `slabs` has it, fresh.
+        Which plane, counted along which axis.
+    slots
+        The bricks that it cuts.
+    place
+        Where they are, bricks.
     """
-    wide, width = np.array(bricks.slot.shape), values.shape[4:]
-    wide[axis] = 1
-    turned, rest = order(axis), tuple(range(3, 3 + len(width)))
-    stored = np.empty((*(size for turn in turned for size in (wide[turn], SIDE)), *width), values.dtype)
-    back = [turned.index(x) for x in range(3)]
-    blocks = stored.transpose([2 * place + k for place in back for k in (0, 1)] + [3 + later for later in rest])
-    far = np.broadcast_to(absent, wide)
-    blocks[:] = far.reshape(wide[0], 1, wide[1], 1, wide[2], 1, *[1] * len(width))
-    slots = np.flatnonzero(bricks.index[:, axis] == number)
-    for start in range(0, len(slots), _COPIED):
-        some = slots[start : start + _COPIED]
-        place = bricks.index[some]
-        place[:, axis] = 0
-        x, y, z = place.T
-        blocks[x, :, y, :, z] = values[some]
-    whole = stored.reshape(*(wide[turn] * SIDE for turn in turned), *width).transpose(*back, *rest)
-    left = np.array(lattice.shape)
-    left[axis] -= SIDE * number
-    sx, sy, sz = np.minimum(left, wide * SIDE)
-    return whole[:sx, :sy, :sz]
+
+    number: int
+    axis: int
+    slots: Int[np.ndarray, " n"]
+    place: Int[np.ndarray, "n 3"]
+
+    @staticmethod
+    def of(bricks: Bricks, number: int, axis: int) -> "Cut":
+        """Find the bricks."""
+        slots = np.flatnonzero(bricks.index[:, axis] == number // SIDE)
+        return Cut(number, axis, slots, bricks.index[slots])
+
+    @property
+    def part(self) -> Part:
+        """Which samples of these bricks lie on it."""
+        step = self.number % SIDE
+        x, y, z = (slice(step, step + 1) if axis == self.axis else slice(0, SIDE) for axis in range(3))
+        return x, y, z
+
+    def taken(self, values: np.ndarray) -> np.ndarray:
+        """Return what is stored for these samples, of (k, 8, 8, 8, ...): (n, 8, 8, ...) with 1 along the axis."""
+        x, y, z = self.part
+        found: np.ndarray = values[:, x, y, z][self.slots]
+        return found
+
+    def spread(self, lattice: Lattice, values: np.ndarray, absent: np.ndarray | float) -> np.ndarray:
+        """Return the plane.
+
+        Parameters
+        ----------
+        lattice
+            Of the grid.
+        values
+            As `taken` returns them.
+        absent
+            What samples have whose brick is absent: one number, or one per brick [slow, fast].
+
+        Returns
+        -------
+        plane
+            (slow, fast, ...), fresh.
+        """
+        slow, fast = order(self.axis)
+        wide, width = counts(lattice.shape), values.shape[4:]
+        filled = np.empty((wide[slow], SIDE, wide[fast], SIDE, *width), values.dtype)
+        filled[:] = np.broadcast_to(absent, (wide[slow], wide[fast])).reshape(
+            wide[slow], 1, wide[fast], 1, *[1] * len(width)
+        )
+        blocks = values.squeeze(1 + self.axis)
+        filled[self.place[:, slow], :, self.place[:, fast]] = blocks if slow < fast else blocks.swapaxes(1, 2)
+        whole = filled.reshape(wide[slow] * SIDE, wide[fast] * SIDE, *width)
+        return whole[: lattice.shape[slow], : lattice.shape[fast]]
 
 
 def surface_of(grid: Grid, exact: Mesh | bool) -> Surface | None:
@@ -155,14 +176,14 @@ def surface_of(grid: Grid, exact: Mesh | bool) -> Surface | None:
     return Surface.of(exact)
 
 
-def _make_exact(values: Float[np.ndarray, "sx sy sz"], grid: Grid, number: int, axis: int, surface: Surface) -> None:
-    """Replace bounds, in the slab of that number, by distances that have their signs; plane by plane, in place."""
-    absent = grid.bricks.slot.take(number, axis) < 0
-    for step, plane in enumerate(np.moveaxis(values, axis, 0)):
-        away = absent.repeat(SIDE, 0).repeat(SIDE, 1)[: plane.shape[0], : plane.shape[1]]
-        asked = np.argwhere((np.abs(plane) > BAND * grid.lattice.spacing) | away)
-        for start in range(0, len(asked), _CHUNK):
-            at = asked[start : start + _CHUNK]
-            sample = np.insert(at, axis, SIDE * number + step, axis=1)
-            place = tuple(at.T)
-            plane[place] = np.copysign(surface.distance(grid.lattice.to_world(sample)), plane[place])
+def _make_exact(values: Float[np.ndarray, "slow fast"], grid: Grid, cut: Cut, surface: Surface) -> None:
+    """Replace bounds, in a plane, by distances that have their signs; in place."""
+    slow, fast = order(cut.axis)
+    absent = grid.bricks.slot.take(cut.number // SIDE, cut.axis) < 0
+    away = (absent if slow < fast else absent.T).repeat(SIDE, 0).repeat(SIDE, 1)[: values.shape[0], : values.shape[1]]
+    asked = np.flatnonzero((np.abs(values) > BAND * grid.lattice.spacing) | away)
+    for start in range(0, len(asked), _CHUNK):
+        place = np.unravel_index(asked[start : start + _CHUNK], values.shape)
+        sample = np.full((len(place[0]), 3), cut.number)
+        sample[:, slow], sample[:, fast] = place
+        values[place] = np.copysign(surface.distance(grid.lattice.to_world(sample)), values[place])

@@ -1,4 +1,4 @@
-"""Dense arrays out of grids: bounds that are safe, exact distances by an independent route, one slab at a time."""
+"""Dense arrays out of grids: bounds that are safe, exact distances by an independent route, one plane at a time."""
 
 from dataclasses import replace
 
@@ -8,9 +8,8 @@ import pytest
 import trimesh
 
 from sdfbake import BadInput, Grid, Mesh, bake
-from sdfbake.bricks import SIDE
 from sdfbake.closest import Surface
-from sdfbake.densify import dense, slabs
+from sdfbake.densify import dense, planes
 from sdfbake.faces import FaceTable
 from sdfbake.lattice import BAND
 
@@ -77,19 +76,26 @@ def test_grid_that_carries_its_mesh(baked, truth):
     np.testing.assert_allclose(grid.to_dense(exact=True), truth, rtol=ULP, atol=1e-12)
 
 
-def test_slabs_are_pieces_of_the_whole(baked):
+def test_planes_are_pieces_of_the_whole(baked):
     mesh, grid = baked
-    pieces = list(slabs(grid, Surface.of(mesh)))
-    assert [len(piece) for piece in pieces[:-1]] == [SIDE] * (len(pieces) - 1)
-    np.testing.assert_array_equal(np.concatenate(pieces), dense(grid, mesh))
+    np.testing.assert_array_equal(np.stack(list(planes(grid, Surface.of(mesh)))), dense(grid, mesh))
 
 
-def test_slabs_come_one_at_a_time(baked):
+@pytest.mark.parametrize("axis", [1, 2])
+def test_exact_planes_across_other_axes(baked, axis):
+    mesh, grid = baked
+    whole, far = dense(grid, mesh), grid.lattice.shape[axis] // 2
+    rest = planes(grid, Surface.of(mesh), axis=axis)
+    found = next(plane for number, plane in enumerate(rest) if number == far)
+    np.testing.assert_array_equal(found, whole[:, far] if axis == 1 else whole[..., far].T)
+
+
+def test_planes_come_one_at_a_time(baked):
     seen = []
-    pieces = slabs(baked[1], progress=lambda stage, share: seen.append((stage, share)))
+    pieces = planes(baked[1], progress=lambda stage, share: seen.append((stage, share)))
     next(pieces)
     assert seen == [("dense", 0)]
-    assert len(list(pieces)) == len(baked[1].bricks.slot) - 1
+    assert len(list(pieces)) == baked[1].lattice.shape[0] - 1
     shares = [share for _, share in seen]
     assert shares == sorted(shares) and shares[-1] == 1
 

@@ -132,11 +132,11 @@ def test_npy_that_does_not_say_where(values, tmp_path):
 def test_npy_beside_a_description_of_another(values, tmp_path):
     np.save(tmp_path / "a.npy", values)
     lattice = {"origin": [0, 0, 0], "spacing": 1.0, "shape": [3, 3, 3]}
-    (tmp_path / "a.json").write_text(json.dumps({"lattice": lattice, "band": None}))
+    (tmp_path / "a.npy.json").write_text(json.dumps({"lattice": lattice, "band": None}))
     with pytest.raises(BadInput, match="describes"):
         import_grid(tmp_path / "a.npy")
     assert_field(import_grid(tmp_path / "a.npy", Said(spacing=H, origin=tuple(ORIGIN))).grid, values)
-    (tmp_path / "a.json").write_text("{}")
+    (tmp_path / "a.npy.json").write_text("{}")
     with pytest.raises(BadInput, match="describes no lattice"):
         import_grid(tmp_path / "a.npy")
 

@@ -1,6 +1,6 @@
 """B-spline coefficients: for readers whose cubic sampling is the plain B-spline's, without a prefilter.
 
-In: a grid. Out: OUT.npy, float32 (nx, ny, nz), and OUT.json. A reader that weights 4^3 coefficients by the cubic
+In: a grid. Out: OUT.npy, float32 (nx, ny, nz), and OUT.npy.json. A reader that weights 4^3 coefficients by the cubic
 B-spline returns the samples themselves at the nodes, and the distance between them to fourth order: Dr.Jit's
 `eval_cubic`, the bicubic trick of GPUs, SciPy's `map_coordinates(..., order=3, prefilter=False)`.
 
@@ -20,32 +20,38 @@ other is itself of fourth order.
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy import ndimage
-from scipy.linalg import solveh_banded
+from jaxtyping import Float, Int, Shaped, UInt8
+from scipy.linalg.lapack import dpttrf, dpttrs
 
 from sdfbake.atomic import replacing_all
 from sdfbake.bricks import SIDE
 from sdfbake.closest import Surface
-from sdfbake.densify import slabs, surface_of
-from sdfbake.export.npy import description, write_head
+from sdfbake.densify import planes, surface_of
+from sdfbake.export.npy import described_by, description, write_head
 from sdfbake.export.result import Exported, Progress
 from sdfbake.export.room import check_room
 from sdfbake.export.slabs import slab_bytes
 from sdfbake.grid import Grid
 from sdfbake.lattice import BAND
 
-_LOCAL = np.array([-1, 4, 30, 4, -1]) / 36  # W
+_LOCAL = np.array([-1, 4, 30], np.float32) / 36  # W up to its middle
 _HALO = 2  # of W
-_PLANES = 40  # of float32: what is in memory beside a slab, with room to spare
-_Plane = tuple[Float[np.ndarray, "ny nz"], Bool[np.ndarray, "ny nz"]]  # samples, and which are exact
+_STRIPS = 32  # of a plane: temporaries are of one of them
+_Strip = tuple[int, slice, Float[np.ndarray, "n nz"]]  # the plane, the rows in it, and what they hold
 _READING = (
     "sample with the uniform cubic B-spline and no prefilter, at index coordinates (p - origin) / spacing; textures "
     "have their centres at (index + 1/2) / n, and take the array's last axis for x"
 )
+
+
+class _Plane(NamedTuple):
+    """Samples, and which of them are exact: eight along z in a byte, since five planes are kept."""
+
+    samples: Float[np.ndarray, "ny nz"]
+    exact: UInt8[np.ndarray, "ny bytes"]
 
 
 def write(grid: Grid, path: Path, *, progress: Progress, exact: bool = False) -> Exported:
@@ -68,9 +74,9 @@ def write(grid: Grid, path: Path, *, progress: Progress, exact: bool = False) ->
         If it does not fit on the disk, or the grid carries no mesh to be exact with.
     """
     nx, ny, nz = shape = grid.lattice.shape
-    check_room(path, 4 * nx * ny * nz, slab_bytes(grid, ("distance",), 0) + 4 * _PLANES * ny * nz)
+    check_room(path, 4 * nx * ny * nz, slab_bytes(grid, ("distance",), 0))
     surface = surface_of(grid, exact)
-    described = path.with_suffix(".json")
+    described = described_by(path)
     with replacing_all([path, described]) as (array, record):
         with array.open("w+b") as file:
             write_head(file, shape, "<f4")
@@ -93,8 +99,8 @@ def _description(grid: Grid, *, exact: bool) -> dict[str, object]:
     }
 
 
-def _filter(file: BinaryIO, grid: Grid, planes: Iterator[Float[np.ndarray, "ny nz"]], progress: Progress) -> None:
-    """Solve for the coefficients and write them: along y and z plane by plane, along x forth, then back in place.
+def _filter(file: BinaryIO, grid: Grid, strips: Iterator[_Strip], progress: Progress) -> None:
+    """Solve for the coefficients and write them: along x forth; then along x back, in place, and along y and z.
 
     B is symmetric and has three diagonals, B = L D L^T with l below L's diagonal of ones: forth,
     y[k] = g[k] - l[k] y[k - 1]; back, c[k] = y[k] / d[k] - l[k + 1] c[k + 1].
@@ -102,18 +108,22 @@ def _filter(file: BinaryIO, grid: Grid, planes: Iterator[Float[np.ndarray, "ny n
     nx, ny, nz = grid.lattice.shape
     start, size = file.tell(), 4 * ny * nz
     below, pivot = _factors(nx)
-    carried = np.zeros((ny, nz))
-    for k, plane in enumerate(planes):
-        carried = _solved(_solved(plane).T).T - below[k] * carried
-        file.write(np.ascontiguousarray(carried, "<f4").data)
+    forth = np.zeros((ny, nz), "<f4")
+    for k, rows, values in strips:
+        forth[rows] = values - below[k] * forth[rows]
+        file.write(forth[rows].data)
+    del forth
     progress("filtering back", 0)
-    carried = np.zeros((ny, nz))
+    carried, work = np.zeros((ny, nz)), np.empty((ny, nz))
     for k in reversed(range(nx)):
         file.seek(start + k * size)
-        plane = np.frombuffer(file.read(size), "<f4").reshape(ny, nz)
-        carried = plane / pivot[k] - below[k + 1] * carried
+        np.divide(np.frombuffer(file.read(size), "<f4").reshape(ny, nz), pivot[k], out=work)
+        carried *= -below[k + 1]
+        carried += work
+        work[:] = carried
+        _solve(work)
         file.seek(start + k * size)
-        file.write(carried.astype("<f4").data)
+        file.write(work.astype("<f4").data)
         progress("filtering back", (nx - k) / nx)
 
 
@@ -133,45 +143,99 @@ def _diagonal(count: int) -> Float[np.ndarray, " n"]:
     return diagonal
 
 
-def _solved(values: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
-    """Solve B c = g along the first axis; SciPy's own filter is off at the ends of axes of some five samples."""
-    bands = np.stack([np.full(len(values), 1 / 6), _diagonal(len(values))])
-    solved: Float[np.ndarray, "n m"] = solveh_banded(bands, values, check_finite=False)
-    return solved
+def _solve(values: Float[np.ndarray, "n m"]) -> None:
+    """Solve B c = g along both axes, in place; SciPy's own filter is off at the ends of axes of some five samples."""
+    for axis, count in enumerate(values.shape):
+        pivot, below, _ = dpttrf(_diagonal(count), np.full(count - 1, 1 / 6))
+        # LAPACK wants columns, each in one piece: rows of the transposed plane are, columns of it are copied.
+        for some in _pieces(values.shape[1 - axis]):
+            at = (slice(None), some) if axis == 0 else (some, slice(None))
+            columns = np.asfortranarray(values[at] if axis == 0 else values[at].T)
+            solved = dpttrs(pivot, below, columns, overwrite_b=True)[0]
+            values[at] = solved if axis == 0 else solved.T
 
 
-def _values(grid: Grid, surface: Surface | None, progress: Progress) -> Iterator[Float[np.ndarray, "ny nz"]]:
-    """Yield, plane by plane along x, what the spline is to take at the nodes: the samples, or W^3 of them."""
-    nx = grid.lattice.shape[0]
-    planes = _planes(grid, surface, progress)
-    if grid.metadata.source == "dense":
-        yield from (plane.astype(np.float64) for plane, _ in planes)
-        return
+def _pieces(count: int) -> Iterator[slice]:
+    """Cut so many rows into strips."""
+    step = -(-count // _STRIPS)
+    return (slice(start, min(start + step, count)) for start in range(0, count, step))
+
+
+def _values(grid: Grid, surface: Surface | None, progress: Progress) -> Iterator[_Strip]:
+    """Yield, strip by strip, what the spline is to take at the nodes: the samples, or W^3 of them."""
+    nx, ny, _ = grid.lattice.shape
+    found = _planes(grid, surface, progress)
+    halo = 0 if grid.metadata.source == "dense" else _HALO
     held: dict[int, _Plane] = {}
     for k in range(nx):
-        around = range(k - _HALO, k + _HALO + 1)
+        around = range(k - halo, k + halo + 1)
         held = {i: plane for i, plane in held.items() if i in around}
-        held |= {i: next(planes) for i in around if i < nx and i > max(held, default=-1) and i >= 0}
+        for i in range(max(held, default=k - 1) + 1, min(around.stop, nx)):
+            held[i] = next(found)
         inner = around.start >= 0 and around.stop <= nx
-        yield _settled([held[-1 - i if i < 0 else 2 * nx - 1 - i if i >= nx else i] for i in around], inner)
+        some = [held[i] for i in _mirrored(around, nx).tolist()]
+        for rows in _pieces(ny):
+            yield k, rows, _settled(some, rows, inner=inner) if halo else held[k].samples[rows]
+        del some  # which holds the plane that is let go of next
 
 
 def _planes(grid: Grid, surface: Surface | None, progress: Progress) -> Iterator[_Plane]:
     """Yield the samples plane by plane along x, and which of them are exact."""
-    limit = np.inf if surface is not None else BAND * grid.lattice.spacing
-    for number, slab in enumerate(slabs(grid, surface, progress)):
-        absent = (grid.bricks.slot[number] < 0).repeat(SIDE, 0).repeat(SIDE, 1)[: slab.shape[1], : slab.shape[2]]
-        for plane in slab:
-            # A copy: none of the planes that are kept keeps the slab.
-            yield plane.copy(), (np.abs(plane) <= limit) & (~absent | (surface is not None))
-        del slab, plane
+    limit = np.float32(np.inf if surface is not None else BAND * grid.lattice.spacing)
+    for number, plane in enumerate(planes(grid, surface, progress)):
+        exact = (plane <= limit) & (plane >= -limit)
+        if surface is None:
+            present = grid.bricks.slot[number // SIDE] >= 0
+            exact &= present.repeat(SIDE, 0).repeat(SIDE, 1)[: plane.shape[0], : plane.shape[1]]
+        yield _Plane(plane, np.packbits(exact, axis=1))
+        del plane, exact
 
 
-def _settled(around: list[_Plane], inner: bool) -> Float[np.ndarray, "ny nz"]:
-    """Return what the spline is to take on the middle one of five planes; inner ones are not mirrored."""
-    smoothed = sum(weight * plane for weight, (plane, _) in zip(_LOCAL, around, strict=True))
-    known = np.logical_and.reduce([exact for _, exact in around]) & inner
-    for axis in (0, 1):
-        smoothed = ndimage.correlate1d(smoothed, _LOCAL, axis, mode="reflect")
-        known = ndimage.minimum_filter1d(known, 2 * _HALO + 1, axis, mode="constant", cval=0)
-    return np.where(known, around[_HALO][0], smoothed)
+def _settled(around: list[_Plane], rows: slice, *, inner: bool) -> Float[np.ndarray, "n nz"]:
+    """Return what the spline is to take on some rows of the middle one of five planes; inner ones are not mirrored."""
+    ny, nz = around[0].samples.shape
+    first, end = rows.start - _HALO, rows.stop + _HALO
+    at = slice(first, end) if first >= 0 and end <= ny else _mirrored(range(first, end), ny)
+    smoothed = _weighted(_rows(_weighted([plane.samples[at] for plane in around])))
+    wide = smoothed[:, _mirrored(range(-_HALO, nz + _HALO), nz)]
+    smoothed = _weighted(_rows(wide.T)).T
+    known = np.unpackbits(_all([plane.exact[at] for plane in around]), axis=1, count=nz).view(bool)
+    if not inner or nz <= 2 * _HALO or not known.any():
+        return smoothed
+    known[: max(-first, 0)] = False
+    known[len(known) - max(end - ny, 0) :] = False
+    within, middle = _all(_rows(_all(_rows(known)).T)).T, slice(_HALO, nz - _HALO)
+    np.copyto(smoothed[:, middle], around[_HALO].samples[rows, middle], where=within)
+    return smoothed
+
+
+def _mirrored(numbers: range, count: int) -> Int[np.ndarray, " n"]:
+    """Return which samples of an axis these are, the ends being mirrored with the edge repeated."""
+    at = np.arange(numbers.start, numbers.stop)
+    return np.where(at < 0, -1 - at, np.where(at < count, at, 2 * count - 1 - at))
+
+
+def _rows(values: Shaped[np.ndarray, "n+4 m"]) -> list[Shaped[np.ndarray, "n m"]]:
+    """Return the five rows around every one but the two at either end."""
+    rest = len(values) - 2 * _HALO
+    return [values[step : step + rest] for step in range(2 * _HALO + 1)]
+
+
+def _weighted(five: list[Float[np.ndarray, "n m"]]) -> Float[np.ndarray, "n m"]:
+    """Return their sum, weighted by W, which is symmetric."""
+    total: Float[np.ndarray, "n m"] = five[0] + five[4]
+    inner = five[1] + five[3]
+    total *= _LOCAL[0]
+    inner *= _LOCAL[1]
+    total += inner
+    np.multiply(five[2], _LOCAL[2], out=inner)
+    total += inner
+    return total
+
+
+def _all(five: list[Shaped[np.ndarray, "n m"]]) -> Shaped[np.ndarray, "n m"]:
+    """Say where all of them are true, by truth values or by bits."""
+    both: Shaped[np.ndarray, "n m"] = five[0] & five[1]
+    for other in five[2:]:
+        both &= other
+    return both

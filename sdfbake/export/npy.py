@@ -1,8 +1,8 @@
 """Dense distances as a NumPy array, with what else is known in arrays beside it.
 
 In: a grid. Out: OUT.npy, float32 (nx, ny, nz), which `numpy.load(..., mmap_mode="r")` opens without reading it;
-OUT.uv.npy, OUT.chart.npy, OUT.seam.npy and OUT.part.npy where the grid has them; OUT.json with the lattice. An .npz
-could not be written a slab at a time.
+OUT.uv.npy, OUT.chart.npy, OUT.seam.npy and OUT.part.npy where the grid has them; OUT.npy.json with the lattice. An .npz
+could not be written a plane at a time.
 """
 
 import json
@@ -43,21 +43,26 @@ def write(grid: Grid, path: Path, *, progress: Progress, exact: bool = False) ->
     """
     names = carried(grid)
     samples = int(np.prod(grid.lattice.shape, dtype=int))
-    check_room(path, samples * sample_bytes(names), 2 * slab_bytes(grid, names, _AXIS))
+    check_room(path, samples * sample_bytes(names), slab_bytes(grid, names, _AXIS))
     surface = surface_of(grid, exact)
     files = {name: path if name == "distance" else path.with_suffix(f".{name}.npy") for name in names}
-    described = path.with_suffix(".json")
+    described = described_by(path)
     with replacing_all([*files.values(), described]) as temporary, ExitStack() as stack:
         sinks = {}
         for name, target in zip(names, temporary, strict=False):
             file = stack.enter_context(target.open("wb"))
             write_head(file, grid.lattice.shape + DENSE[name][0], DENSE[name][1])
-            sinks[name] = written(file, _AXIS)
+            sinks[name] = written(file)
         stream(grid, _AXIS, sinks, surface, progress)
         named = {name: file.name for name, file in files.items()}
         record = {"arrays": named, **description(grid, exact=exact), "notes": beyond_the_band(grid, exact=exact)}
         temporary[-1].write_text(json.dumps(record, indent=2) + "\n")
     return Exported((*files.values(), described), (), beyond_the_band(grid, exact=exact))
+
+
+def described_by(path: Path) -> Path:
+    """Return where the description of an array is: the other formats' files have other names."""
+    return path.with_name(f"{path.name}.json")
 
 
 def write_head(file: BinaryIO, shape: tuple[int, ...], kind: str) -> None:

@@ -1,24 +1,24 @@
-"""All channels of a grid as dense slabs, one at a time.
+"""All channels of a grid as dense planes, one at a time.
 
-In: a grid, an axis, and for every channel that is wanted something that takes its slabs. Out: nothing; a slab is let go
-of before the next is made, so that an export needs no more memory than the widest slab beside the grid.
+In: a grid, an axis, and for every channel that is wanted something that takes its planes. Out: nothing; a plane is let
+go of before the next but one is made. An export needs less memory beside the grid than a slab: one layer of bricks of
+all that the file holds.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import BinaryIO
+from collections.abc import Callable, Iterator, Mapping
+from itertools import chain
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Float, Int, UInt8
 
-from sdfbake.bricks import SIDE, Bricks
+from sdfbake.bricks import SIDE
 from sdfbake.closest import Surface
-from sdfbake.densify import layer, order, slab
+from sdfbake.densify import Cut, plane
 from sdfbake.export.result import Progress
-from sdfbake.export.texture import textured
+from sdfbake.export.texture import coordinates, several
 from sdfbake.grid import Grid
 from sdfbake.lattice import BAND
-from sdfbake.layers import Layers
 
 # Numbers per sample and how they are written; what samples hold of which nothing is known.
 DENSE: dict[str, tuple[tuple[int, ...], str, float]] = {
@@ -31,7 +31,9 @@ DENSE: dict[str, tuple[tuple[int, ...], str, float]] = {
 }
 OF_TEXTURE = ("uv", "chart", "seam")
 
-Sink = Callable[[np.ndarray], None]  # takes slabs (sx, sy, sz, ...) in their order
+_SHARES = 4  # in which a plane's texture is looked up, one after the other
+_Known = tuple[Float[np.ndarray, "slow fast 2"], Int[np.ndarray, "slow fast"]]  # texture coordinates, charts
+Sink = Callable[[np.ndarray], None]  # takes planes (slow, fast, ...) in their order, see `sdfbake.densify.order`
 
 
 def carried(grid: Grid) -> tuple[str, ...]:
@@ -58,21 +60,21 @@ def sample_bytes(names: tuple[str, ...]) -> int:
 
 
 def slab_bytes(grid: Grid, names: tuple[str, ...], axis: int) -> int:
-    """Return the bytes of a slab in all of these channels."""
-    wide = [count * SIDE for count in grid.bricks.slot.shape]
+    """Return the bytes of a slab, one layer of bricks across an axis, in all of these channels."""
+    wide = list(grid.lattice.shape)
     wide[axis] = SIDE
     return int(np.prod(wide, dtype=int)) * sample_bytes(names)
 
 
 def stream(grid: Grid, axis: int, sinks: Mapping[str, Sink], surface: Surface | None, progress: Progress) -> None:
-    """Hand out every slab of some channels.
+    """Hand out every plane of some channels.
 
     Parameters
     ----------
     grid
         Any grid.
     axis
-        Along which the slabs follow each other.
+        Along which the planes follow each other.
     sinks
         By the channel's name in `DENSE`, among those that the grid fills ("uv and seam" is three of them as one).
     surface
@@ -80,81 +82,70 @@ def stream(grid: Grid, axis: int, sinks: Mapping[str, Sink], surface: Surface | 
     progress
         Called with a stage and the share of it that is done, 0 to 1.
     """
-    count = grid.bricks.slot.shape[axis]
+    count = grid.lattice.shape[axis]
+    texture = _texture(grid, axis) if any("uv" in name or name in OF_TEXTURE for name in sinks) else None
     progress("writing", 0)
     for number in range(count):
         if "distance" in sinks:
-            sinks["distance"](slab(grid, number, axis, surface))
+            sinks["distance"](plane(grid, number, axis, surface))
         if "part" in sinks and grid.part is not None:
-            sinks["part"](layer(grid.bricks, grid.lattice, grid.part, 0, number, axis))
-        _stream_texture(grid, number, axis, sinks)
+            cut = Cut.of(grid.bricks, number, axis)
+            sinks["part"](cut.spread(grid.lattice, cut.taken(grid.part), 0))
+        if texture is not None:
+            _hand_out(next(texture), sinks)
         progress("writing", (number + 1) / count)
 
 
-def written(file: BinaryIO, axis: int) -> Sink:
-    """Return a sink that writes samples to a file, the axis slowest (see `sdfbake.densify.order`)."""
+def written(file: BinaryIO) -> Sink:
+    """Return a sink that writes samples to a file, the axis slowest."""
 
     def write(values: np.ndarray) -> None:
-        for plane in values.transpose(*order(axis), *range(3, values.ndim)):
-            file.write(np.ascontiguousarray(plane, plane.dtype.newbyteorder("<")).data)
+        file.write(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).data)
 
     return write
 
 
-def _stream_texture(grid: Grid, number: int, axis: int, sinks: Mapping[str, Sink]) -> None:
-    """Hand out what is known of the texture in one layer of bricks."""
-    if not any("uv" in name or name in OF_TEXTURE for name in sinks):
-        return
-    at = grid.bricks.index[:, axis]
-    some = _with_only(grid, (at == number) | (at == number + 1))
-    # Of the next layer only the first samples matter: they are corners of this one's last cells.
-    wanted = np.ones(some.distance.shape, bool)
-    ahead = some.bricks.index[:, axis] == number + 1
-    np.moveaxis(wanted, axis + 1, 1)[ahead, 1:] = False
-    found = textured(some, wanted)
-    if found is None:
-        return
-    for name, sink in sinks.items():
-        if name in OF_TEXTURE or name == "uv and seam":
-            values = getattr(found, name) if name in OF_TEXTURE else _joined(found.uv, found.seam)
-            kind, absent = DENSE[name][1:]
-            sink(layer(some.bricks, grid.lattice, values.astype(kind, copy=False), absent, number, axis))
+class _Texture(NamedTuple):
+    """A plane of what is known of the texture, and the seams of the cells that follow it."""
+
+    uv: Float[np.ndarray, "slow fast 2"]
+    chart: Int[np.ndarray, "slow fast"]
+    seam: UInt8[np.ndarray, "slow fast"]
 
 
-def _joined(uv: np.ndarray, seam: np.ndarray) -> np.ndarray:
-    """Return u, v and the mask as one channel."""
-    return np.concatenate([uv, seam[..., None].astype(np.float32)], axis=-1)
+def _texture(grid: Grid, axis: int) -> Iterator[_Texture]:
+    """Yield it plane by plane; one is looked up ahead, whose samples are the far corners of this one's cells."""
+    found = (_of_plane(grid, number, axis) for number in range(grid.lattice.shape[axis]))
+    uv, chart = next(found)
+    for next_uv, next_chart in chain(found, [(uv[:0], np.full_like(chart, -1))]):
+        yield _Texture(uv, chart, _seam(chart, next_chart))
+        uv, chart = next_uv, next_chart
 
 
-def _with_only(grid: Grid, kept: Bool[np.ndarray, " k"]) -> Grid:
-    """Return a grid of some of the bricks, with what `textured` looks at and no more."""
-    present = np.zeros(grid.bricks.slot.shape, bool)
-    present[tuple(grid.bricks.index[kept].T)] = True
-    uv, chart, face = (None if values is None else values[kept] for values in (grid.uv, grid.chart, grid.face))
-    surface = grid.surface
-    if face is not None and surface is not None:
-        named = np.zeros(len(surface.corners) + 1, bool)
-        named[face] = True  # -1, for none, is the last
-        named[-1] = False
-        face = np.where(face < 0, face, np.cumsum(named, dtype=np.int32)[face] - np.int32(1))
-        faces = named[:-1]
-        surface = replace(surface, corners=surface.corners[faces], uv=surface.uv[faces], chart=surface.chart[faces])
-    return replace(
-        grid,
-        bricks=Bricks.of(present, grid.bricks.far),
-        distance=grid.distance[kept],
-        uv=uv,
-        chart=chart,
-        part=None,
-        face=face,
-        surface=surface,
-        layers=None if grid.layers is None else _rows(grid.layers, kept),
-        error=None,
-    )
+def _seam(
+    chart: Int[np.ndarray, "slow fast"], following: Int[np.ndarray, "slow fast"]
+) -> UInt8[np.ndarray, "slow fast"]:
+    """Say of the cells between two planes whether they touch several charts."""
+    corners = np.full((2, *(count + 1 for count in chart.shape)), -1, np.int32)
+    corners[0, :-1, :-1], corners[1, :-1, :-1] = chart, following
+    seam: UInt8[np.ndarray, "slow fast"] = several(corners)[0].view(np.uint8)
+    return seam
 
 
-def _rows(layers: Layers, kept: Bool[np.ndarray, " k"]) -> Layers:
-    """Return the rows of some bricks."""
-    place, rows = np.cumsum(kept, dtype=np.int32) - np.int32(1), kept[layers.brick]
-    of = {name: getattr(layers, name)[rows] for name in ("chart", "uv", "border", "normal")}
-    return replace(layers, brick=place[layers.brick[rows]], **of)
+def _of_plane(grid: Grid, number: int, axis: int) -> _Known:
+    """Return texture coordinates and charts of a plane."""
+    cut = Cut.of(grid.bricks, number, axis)
+    shape = (len(cut.slots), *(along.stop - along.start for along in cut.part))
+    uv, chart = np.empty((*shape, 2), np.float32), np.empty(shape, np.int32)
+    for some in np.array_split(np.arange(len(cut.slots)), _SHARES):
+        uv[some], chart[some] = coordinates(grid, cut.slots[some], cut.part)
+    return cut.spread(grid.lattice, uv, 0), cut.spread(grid.lattice, chart, -1)
+
+
+def _hand_out(known: _Texture, sinks: Mapping[str, Sink]) -> None:
+    """Give a plane to those that asked."""
+    for name in OF_TEXTURE:
+        if name in sinks:
+            sinks[name](getattr(known, name))
+    if "uv and seam" in sinks:
+        sinks["uv and seam"](np.concatenate([known.uv, known.seam[..., None].astype(np.float32)], axis=-1))

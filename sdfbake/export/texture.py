@@ -16,16 +16,19 @@ from jaxtyping import Bool, Float, Int
 
 from sdfbake import triangle
 from sdfbake.bricks import REACH, SIDE, Bricks, in_lattice
+from sdfbake.densify import Part
 from sdfbake.engine.numpy import NumpyEngine
 from sdfbake.faces import FaceTable
 from sdfbake.grid import Grid
 from sdfbake.lattice import Lattice
 from sdfbake.layers import FULL, Layers
 
+EVERY: Part = (slice(None), slice(None), slice(None))
 _NONE = -1  # the chart of samples of which nothing is known
 _ENGINE = NumpyEngine(64)
 _CHUNK = 1 << 14  # points whose some thirty temporary columns stay in a core's cache
-_BRICKS = 4096  # bricks whose cells are looked at together
+_TOGETHER = 512  # bricks whose samples are looked up together
+_BRICKS = 512  # bricks whose cells are looked at together
 _MOST = np.iinfo(np.int32).max
 _SLIVER = 1e-4  # height over the longest edge: below, the plane is not trusted
 
@@ -74,47 +77,80 @@ def textured(grid: Grid, wanted: Bool[np.ndarray, "k 8 8 8"] | None = None) -> T
     Textured
         None where the grid has no texture coordinates.
     """
-    asked = np.ones(grid.distance.shape, bool) if wanted is None else wanted
-    if grid.uv is not None:
-        uv, chart = _of_samples(grid, asked)
-    elif grid.face is not None and grid.surface is not None:
-        uv, chart = _of_faces(grid.lattice, grid.bricks, grid.surface, np.where(asked, grid.face, _NONE))
-    elif grid.layers is not None:
-        uv, chart = _of_layers(grid.layers, asked)
-    else:
+    if all(mode is None for mode in (grid.uv, grid.face, grid.layers)):
         return None
+    shape = grid.distance.shape
+    uv, chart = np.empty((*shape, 2), np.float32), np.empty(shape, np.int32)
+
+    def fill(start: int) -> None:
+        some = slice(start, start + _TOGETHER)
+        asked = True if wanted is None else wanted[some]
+        uv[some], chart[some] = coordinates(grid, np.arange(*some.indices(shape[0])), asked=asked)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(fill, range(0, shape[0], _TOGETHER)))
     return Textured(uv, chart, _seams(grid.bricks, chart))
 
 
+def coordinates(
+    grid: Grid, slots: Int[np.ndarray, " n"], part: Part = EVERY, asked: Bool[np.ndarray, "n x y z"] | bool = True
+) -> tuple[Float[np.ndarray, "n x y z 2"], Int[np.ndarray, "n x y z"]]:
+    """Return texture coordinates and charts of some samples, as `textured` does.
+
+    Parameters
+    ----------
+    grid
+        One that has texture coordinates.
+    slots, part
+        Which bricks, ascending, and which of their samples.
+    asked
+        Which of these to do this for.
+    """
+    if grid.uv is not None:
+        return _of_samples(grid, slots, part, asked)
+    if grid.face is not None and grid.surface is not None:
+        first = grid.bricks.index[slots] * SIDE + np.array([along.start or 0 for along in part], np.int32)
+        face = np.where(asked, _taken(grid.face, slots, part), _NONE)
+        return _of_faces(grid.lattice, grid.surface, face, first)
+    assert grid.layers is not None
+    return _of_layers(grid.layers, slots, part, asked)
+
+
+def _taken(values: np.ndarray, rows: Int[np.ndarray, " n"], part: Part) -> np.ndarray:
+    """Return some samples of some bricks, or of some layers of bricks."""
+    x, y, z = part
+    found: np.ndarray = values[:, x, y, z][rows]
+    return found
+
+
 def _of_samples(
-    grid: Grid, asked: Bool[np.ndarray, "k 8 8 8"]
-) -> tuple[Float[np.ndarray, "k 8 8 8 2"], Int[np.ndarray, "k 8 8 8"]]:
+    grid: Grid, slots: Int[np.ndarray, " n"], part: Part, asked: Bool[np.ndarray, "n x y z"] | bool
+) -> tuple[Float[np.ndarray, "n x y z 2"], Int[np.ndarray, "n x y z"]]:
     """Return what the grid stores by sample, where it stores anything."""
     assert grid.uv is not None
     reach = np.float32(REACH * grid.lattice.spacing)  # what is beyond is clamped to it
-    known = asked & (np.abs(grid.distance) < reach)
-    known &= in_lattice(grid.bricks.index, grid.lattice.shape)
-    chart = np.where(known, np.int32(0) if grid.chart is None else grid.chart, np.int32(_NONE))
-    return np.where(known[..., None], grid.uv, np.float32(0)), chart
+    known = asked & (np.abs(_taken(grid.distance, slots, part)) < reach)
+    x, y, z = part
+    known &= in_lattice(grid.bricks.index[slots], grid.lattice.shape)[:, x, y, z]
+    chart = np.int32(0) if grid.chart is None else _taken(grid.chart, slots, part)
+    uv = _taken(grid.uv, slots, part)
+    uv[~known] = 0
+    return uv, np.where(known, chart, np.int32(_NONE))
 
 
 def _of_faces(
-    lattice: Lattice, bricks: Bricks, surface: FaceTable, face: Int[np.ndarray, "k 8 8 8"]
-) -> tuple[Float[np.ndarray, "k 8 8 8 2"], Int[np.ndarray, "k 8 8 8"]]:
-    """Return those of the closest points of named faces (k, 8, 8, 8), -1 for none."""
+    lattice: Lattice, surface: FaceTable, face: Int[np.ndarray, "n x y z"], first: Int[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n x y z 2"], Int[np.ndarray, "n x y z"]]:
+    """Return those of the closest points of named faces, -1 for none, of samples that go on from the first of a row."""
     uv, chart = np.zeros((face.size, 2), np.float32), np.full(face.size, _NONE, np.int32)
-    at = np.flatnonzero(face >= 0)
-    flat, table = face.reshape(-1), _Faces.of(lattice, surface)
-
-    def fill(start: int) -> None:
-        part = at[start : start + _CHUNK]
-        named = flat[part]
-        inner = np.unravel_index(part % SIDE**3, (SIDE, SIDE, SIDE))
-        p = bricks.index[part // SIDE**3].T * np.float64(SIDE) + inner
-        uv[part], chart[part] = table.closest_uv(named, p).T, surface.chart[named]
-
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(fill, range(0, len(at), _CHUNK)))
+    at, each = np.flatnonzero(face >= 0), face[0].size if len(face) else 1
+    for start in range(0, len(at), _CHUNK):
+        some = at[start : start + _CHUNK]
+        named = face.reshape(-1)[some]
+        faces = np.unique(named)
+        p = first[some // each].T + np.stack(np.unravel_index(some % each, face.shape[1:])).astype(np.float64)
+        uv[some] = _Faces.of(lattice, surface, faces).closest_uv(np.searchsorted(faces, named), p).T
+        chart[some] = surface.chart[named]
     return uv.reshape(*face.shape, 2), chart.reshape(face.shape)
 
 
@@ -137,15 +173,15 @@ class _Faces(NamedTuple):
     weights: Float[np.ndarray, "f 6"]
 
     @staticmethod
-    def of(lattice: Lattice, surface: FaceTable) -> "_Faces":
-        """Build the tables."""
-        corners = lattice.to_grid(surface.vertices)[surface.corners]
+    def of(lattice: Lattice, surface: FaceTable, faces: Int[np.ndarray, " f"]) -> "_Faces":
+        """Build the tables of some faces."""
+        corners = lattice.to_grid(surface.vertices[surface.corners[faces]])
         ab, ac = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         normal = np.cross(ab, ac)
         square, longest = (normal**2).sum(axis=1), np.maximum((ab**2).sum(axis=1), (ac**2).sum(axis=1))
         square[square <= (_SLIVER * longest) ** 2] = np.nan
         weights = np.concatenate([np.cross(ac, normal), np.cross(normal, ab)], axis=1) / square[:, None]
-        return _Faces(corners.reshape(-1, 9), surface.uv.reshape(-1, 6), weights)
+        return _Faces(corners.reshape(-1, 9), surface.uv[faces].reshape(-1, 6), weights)
 
     def closest_uv(self, named: Int[np.ndarray, " n"], p: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "2 n"]:
         """Return the texture coordinates of the points of faces that are closest to p, voxels."""
@@ -169,21 +205,25 @@ def _closest(corners: Float[np.ndarray, "9 n"], p: Float[np.ndarray, "3 n"]) -> 
 
 
 def _of_layers(
-    layers: Layers, asked: Bool[np.ndarray, "k 8 8 8"]
-) -> tuple[Float[np.ndarray, "k 8 8 8 2"], Int[np.ndarray, "k 8 8 8"]]:
+    layers: Layers, slots: Int[np.ndarray, " n"], part: Part, asked: Bool[np.ndarray, "n x y z"] | bool
+) -> tuple[Float[np.ndarray, "n x y z 2"], Int[np.ndarray, "n x y z"]]:
     """Return those of the row with the least border distance, of the first of several; turn by turn over the rows."""
-    least = np.full(asked.shape, np.inf, np.float16)
-    uv, chart = np.zeros((*asked.shape, 2), np.float32), np.full(asked.shape, _NONE, np.int32)
-    turn = np.arange(len(layers.brick)) - np.searchsorted(layers.brick, layers.brick)
+    begin, end = (np.searchsorted(layers.brick, slots, side) for side in ("left", "right"))
+    place = np.repeat(np.arange(len(slots)), end - begin)
+    turn = np.arange(len(place)) - np.searchsorted(place, place)
+    rows = begin[place] + turn
+    shape = (len(slots), *(len(range(SIDE)[along]) for along in part))
+    least = np.full(shape, np.inf, np.float16)
+    uv, chart = np.zeros((*shape, 2), np.float32), np.full(shape, _NONE, np.int32)
+    asked = np.broadcast_to(asked, shape)
     for number in range(int(turn.max(initial=-1)) + 1):
-        row = np.flatnonzero(turn == number)  # of every brick one at most
-        brick = layers.brick[row]
-        nearer = (layers.border[row] < least[brick]) & asked[brick]
-        of_row, *inner = np.nonzero(nearer)
-        at = (brick[of_row], *inner)
-        virtual = layers.chart[row][of_row]
-        code = layers.uv[(row[of_row], *inner)]
-        least[at] = layers.border[(row[of_row], *inner)]
+        chosen = turn == number  # of every brick one at most
+        row, brick = rows[chosen], place[chosen]
+        border = _taken(layers.border, row, part)
+        of_row, *inner = np.nonzero((border < least[brick]) & asked[brick])
+        at, virtual = (brick[of_row], *inner), layers.chart[row][of_row]
+        code = _taken(layers.uv, row, part)[(of_row, *inner)]
+        least[at] = border[(of_row, *inner)]
         uv[at] = layers.offset[virtual] + layers.scale[virtual] * (code / FULL)
         chart[at] = layers.of[virtual]
     return uv, chart
@@ -223,9 +263,14 @@ def _several(chart: Int[np.ndarray, "k 8 8 8"], reached: Int[np.ndarray, "n 8"])
         to = tuple(slice(SIDE, None) if far else slice(SIDE) for far in step)
         of = tuple(slice(1) if far else slice(None) for far in step)
         seen[(there, *to)] = chart[(reached[there, column], *of)]
-    low, high = np.where(seen < 0, _MOST, seen), seen
-    for axis in (1, 2, 3):
-        first, second = _pair(axis)
+    return several(seen)
+
+
+def several(chart: Int[np.ndarray, "*n x y z"]) -> Bool[np.ndarray, "*n x-1 y-1 z-1"]:
+    """Say of every cell whether its corners, whose charts are given, belong to several; -1 is none."""
+    low, high = np.where(chart < 0, _MOST, chart), chart
+    for axis in (-3, -2, -1):
+        first, second = _pair(axis + chart.ndim)
         low = np.minimum(low[first], low[second])
         high = np.maximum(high[first], high[second])
     return low < high

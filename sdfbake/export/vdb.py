@@ -19,7 +19,8 @@ from sdfbake.export.vdbtree import Channel
 from sdfbake.grid import Grid
 
 HALF_WIDTH = 3.0  # voxels: OpenVDB's own for level sets, which its tools expect
-# The corners of a cell with surface in it are no farther from the surface than the cell's diagonal.
+# The corners of a cell with surface in it are no farther from the surface than the cell's diagonal. Where an open mesh
+# has no surface but its signs change, across a hole, corners may be farther: those have no texture coordinates.
 _CELL = 3**0.5 * (1 + 1e-6)
 
 

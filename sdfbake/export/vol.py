@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from sdfbake.atomic import replacing_all
-from sdfbake.bricks import SIDE
 from sdfbake.closest import Surface
-from sdfbake.densify import slab, surface_of
+from sdfbake.densify import plane, surface_of
 from sdfbake.export.mitsuba import numbers, scene, shape_to_world, volume_to_world
 from sdfbake.export.result import Exported, Progress
 from sdfbake.export.room import check_room
@@ -51,7 +50,7 @@ def write(grid: Grid, path: Path, *, progress: Progress, exact: bool = False) ->
     """
     n, textured = max(grid.lattice.shape), "uv" in carried(grid)
     names = ("distance", "uv and seam") if textured else ("distance",)
-    check_room(path, n**3 * sample_bytes(names), 2 * slab_bytes(grid, names, _AXIS))
+    check_room(path, n**3 * sample_bytes(names), slab_bytes(grid, names, _AXIS))
     surface = surface_of(grid, exact)
     files = [path, *([path.with_suffix(".uv.vol")] if textured else []), path.with_suffix(".xml")]
     with replacing_all(files) as (*volumes, shown):
@@ -70,8 +69,8 @@ def _write_volumes(
 ) -> None:
     """Write the cubes of distances and of texture coordinates."""
     lattice, nz = grid.lattice, grid.lattice.shape[_AXIS]
-    # The planes that follow the lattice continue its last one: a copy, so that no slab is kept.
-    last = slab(grid, (nz - 1) // SIDE, _AXIS, surface)[..., -1].copy() if nz < max(lattice.shape) else None
+    # The planes that follow the lattice continue its last one.
+    last = plane(grid, nz - 1, _AXIS, surface) if nz < max(lattice.shape) else None
     with ExitStack() as stack:
         files = [stack.enter_context(path.open("wb")) for path in paths]
         made = (_distances, _coordinates)
@@ -92,8 +91,8 @@ def _notes(grid: Grid, *, exact: bool, textured: bool) -> tuple[str, ...]:
 def _cut(grid: Grid) -> bool:
     """Say whether a sample where padding begins is inside."""
     shape = grid.lattice.shape
-    ends = [(axis, (count - 1) // SIDE) for axis, count in enumerate(shape) if count < max(shape)]
-    return any(bool((slab(grid, number, axis).take(-1, axis) < 0).any()) for axis, number in ends)
+    ends = [(axis, count - 1) for axis, count in enumerate(shape) if count < max(shape)]
+    return any(bool((plane(grid, number, axis) < 0).any()) for axis, number in ends)
 
 
 def _head(file: BinaryIO, lattice: Lattice, channels: int, to_world: Float[np.ndarray, "4 4"]) -> None:
@@ -107,11 +106,7 @@ def _distances(file: BinaryIO, lattice: Lattice) -> Sink:
     """Return a sink for distances that writes planes of the cube."""
     _head(file, lattice, 1, shape_to_world(lattice))
 
-    def write(values: np.ndarray) -> None:
-        for plane in np.moveaxis(values, _AXIS, 0):
-            file.write(_padded(plane, lattice, 0).data)
-
-    return write
+    return lambda values: _put(file, _padded(values, lattice, 0))
 
 
 def _coordinates(file: BinaryIO, lattice: Lattice) -> Sink:
@@ -119,37 +114,43 @@ def _coordinates(file: BinaryIO, lattice: Lattice) -> Sink:
     n = max(lattice.shape)
     _head(file, lattice, 3, volume_to_world(lattice))
 
+    wide = np.zeros((n, n, 3), "<f4")
+
     def write(values: np.ndarray) -> None:
-        for plane in np.moveaxis(values, _AXIS, 0):
-            wide = np.zeros((n, n, 3), "<f4")
-            wide[: plane.shape[1], : plane.shape[0]] = plane.transpose(1, 0, 2)
-            file.write(wide.data)
+        wide[: values.shape[0], : values.shape[1]] = values
+        _put(file, wide)
 
     return write
 
 
-def _close(files: Sequence[BinaryIO], lattice: Lattice, last: Float[np.ndarray, "nx ny"]) -> None:
+def _close(files: Sequence[BinaryIO], lattice: Lattice, last: Float[np.ndarray, "ny nx"]) -> None:
     """Write the planes of the cube that follow the last one of the lattice."""
     n, nz = max(lattice.shape), lattice.shape[_AXIS]
     for step in range(1, n - nz + 1):
-        files[0].write(_padded(last, lattice, step).data)
+        _put(files[0], _padded(last, lattice, step))
     for file in files[1:]:
         file.truncate(file.tell() + 12 * n * n * (n - nz))  # zeros
 
 
-def _padded(plane: Float[np.ndarray, "nx ny"], lattice: Lattice, above: int) -> Float[np.ndarray, "n n"]:
+def _put(file: BinaryIO, values: Float[np.ndarray, "..."]) -> None:
+    """Write numbers as they lie in memory."""
+    file.write(np.ascontiguousarray(values, "<f4").data)
+
+
+def _padded(values: Float[np.ndarray, "ny nx"], lattice: Lattice, above: int) -> Float[np.ndarray, "n n"]:
     """Return a plane of the cube, indexed [y, x], so many samples above that plane of the lattice.
 
     A sample q outside of the lattice whose nearest one in it is b is at least (|b's bound|^2 + |q - b|^2)^(1/2) from a
     surface that lies inside, since a box is convex. It is outside of the shape.
     """
-    n, (nx, ny) = max(lattice.shape), plane.shape
-    wide = np.pad(np.ascontiguousarray(plane.T), ((0, n - ny), (0, n - nx)), mode="edge")  # in C order, to be written
+    n, (ny, nx) = max(lattice.shape), values.shape
+    wide = np.pad(values, ((0, n - ny), (0, n - nx)), mode="edge")
     y, x = (np.maximum(np.arange(n) - (count - 1), 0.0) for count in (ny, nx))
     strips = [np.s_[ny:, :], np.s_[:ny, nx:]] if above == 0 else [np.s_[:, :]]
     for rows, columns in strips:
         steps = y[rows, None] ** 2 + x[columns] ** 2 + above**2
-        bound = np.maximum(wide[rows, columns], 0).astype(np.float64)
+        steps *= lattice.spacing**2
+        steps += np.square(np.maximum(wide[rows, columns], 0), dtype=np.float64)
         # Rounded down, as a bound has to be.
-        wide[rows, columns] = np.sqrt(bound**2 + steps * lattice.spacing**2) * (1 - 1e-7)
+        wide[rows, columns] = np.sqrt(steps, out=steps) * (1 - 1e-7)
     return wide

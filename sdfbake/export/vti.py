@@ -42,7 +42,7 @@ def write(grid: Grid, path: Path, *, progress: Progress, exact: bool = False) ->
     """
     names = carried(grid)
     samples = int(np.prod(grid.lattice.shape, dtype=int))
-    check_room(path, samples * sample_bytes(names), 2 * slab_bytes(grid, names, _AXIS))
+    check_room(path, samples * sample_bytes(names), slab_bytes(grid, names, _AXIS))
     surface = surface_of(grid, exact)
     sizes = [samples * sample_bytes((name,)) for name in names]
     starts = np.cumsum([0, *(_SIZE + size for size in sizes)])
@@ -55,7 +55,7 @@ def write(grid: Grid, path: Path, *, progress: Progress, exact: bool = False) ->
                 file = stack.enter_context(temporary.open("r+b"))  # every array has a place of its own to go on at
                 file.seek(len(head) + start)
                 file.write(size.to_bytes(_SIZE, "little"))
-                sinks[name] = written(file, _AXIS)
+                sinks[name] = written(file)
             stream(grid, _AXIS, sinks, surface, progress)
         with temporary.open("ab") as end:
             end.write(b"\n</AppendedData>\n</VTKFile>\n")

@@ -1,7 +1,7 @@
 """NumPy arrays.
 
-In: a `.npy` file of numbers [x, y, z], and where its samples lie: from the user, else from the JSON file of the same
-name that `export --to npy` writes beside it, else spacing 1 from the origin on. Out: `Field`.
+In: a `.npy` file of numbers [x, y, z], and where its samples lie: from the user, else from the JSON file NAME.npy.json
+that `export --to npy` writes beside it, else spacing 1 from the origin on. Out: `Field`.
 """
 
 import json
@@ -42,7 +42,7 @@ def read(path: Path, spacing: float | None = None, origin: tuple[float, float, f
         raise BadInput(f"{path.name} holds {values.shape} samples and has no cell: give 2 or more along every axis")
     require_memory(path.name, values.shape)
     if spacing is None and origin is None:
-        described = path.with_suffix(".json")
+        described = path.with_name(f"{path.name}.json")
         if described.is_file():
             return _placed(path, values, _record(described))
     step, corner = np.full(3, 1.0 if spacing is None else spacing), np.array(origin or (0.0, 0.0, 0.0))
@@ -64,6 +64,8 @@ def _record(path: Path) -> dict[str, Any]:
 
 def _placed(path: Path, values: np.ndarray, record: dict[str, Any]) -> Field:
     """Return the array on the lattice of its description."""
+    if "coefficients" in record:
+        raise BadInput(f"{path.name} holds B-spline coefficients, no distances: import what 'export --to npy' writes")
     try:
         lattice, band = record["lattice"], record["band"]
         shape = tuple(lattice["shape"])
@@ -72,11 +74,11 @@ def _placed(path: Path, values: np.ndarray, record: dict[str, Any]) -> Field:
         half_width = None if band is None else float(band) * float(spacing[0])
     except (KeyError, TypeError, ValueError):
         raise BadInput(
-            f"{path.stem}.json describes no lattice for {path.name}: give --spacing to leave it unread"
+            f"{path.name}.json describes no lattice for {path.name}: give --spacing to leave it unread"
         ) from None
     if shape != values.shape:
         raise BadInput(
-            f"{path.stem}.json describes {list(shape)} samples and {path.name} has {list(values.shape)}: give "
+            f"{path.name}.json describes {list(shape)} samples and {path.name} has {list(values.shape)}: give "
             "--spacing to leave it unread"
         )
     require_lattice(path.name, origin, spacing)

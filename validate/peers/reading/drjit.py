@@ -18,7 +18,7 @@ def _reader() -> Reader:
     from drjit.llvm import Array3f, Float, TensorXf, Texture3f
 
     def look(path: str, asked: Question) -> "tuple[Arrays, Words]":
-        lattice = described(str(Path(path).with_suffix(".json")))["lattice"]
+        lattice = described(str(Path(path).with_suffix(".npy.json")))["lattice"]
         origin, spacing, shape = np.array(lattice["origin"]), lattice["spacing"], np.array(lattice["shape"])
         # A texture's axes are [z, y, x], the last one fastest; its texels have their middles at half-integers.
         texture = Texture3f(TensorXf(np.load(path).transpose(2, 1, 0)[..., None].copy()), use_accel=False)

@@ -12,7 +12,7 @@ from validate.peers.reading.question import Arrays, Question, Reader, Words, des
 
 
 def _read(path: str) -> "tuple[dict[str, np.ndarray], Any]":
-    about = described(str(Path(path).with_suffix(".json")))
+    about = described(str(Path(path).with_suffix(".npy.json")))
     folder = Path(path).parent
     return {name: np.load(folder / file, mmap_mode="r") for name, file in about["arrays"].items()}, about["lattice"]
 

@@ -39,7 +39,7 @@ def _reader() -> Reader:
 
 
 def _lattice(path: str) -> Any:
-    return described(str(Path(path).with_suffix(".json")))["lattice"]
+    return described(str(Path(path).with_suffix(".npy.json")))["lattice"]
 
 
 if __name__ == "__main__":
