@@ -16,9 +16,10 @@ from sdfbake.bricks import SIDE
 from sdfbake.closest import Surface
 from sdfbake.densify import Cut, plane
 from sdfbake.export.result import Progress
-from sdfbake.export.texture import coordinates, several
+from sdfbake.export.texture import coordinates
 from sdfbake.grid import Grid
 from sdfbake.lattice import BAND
+from sdfbake.seams import several
 
 # Numbers per sample and how they are written; what samples hold of which nothing is known.
 DENSE: dict[str, tuple[tuple[int, ...], str, float]] = {

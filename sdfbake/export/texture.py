@@ -8,28 +8,26 @@ import os
 from collections.abc import Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sdfbake import triangle
-from sdfbake.bricks import REACH, SIDE, Bricks, in_lattice
+from sdfbake.bricks import REACH, SIDE, in_lattice
 from sdfbake.densify import Part
 from sdfbake.engine.numpy import NumpyEngine
 from sdfbake.faces import FaceTable
 from sdfbake.grid import Grid
 from sdfbake.lattice import Lattice
 from sdfbake.layers import FULL, Layers
+from sdfbake.seams import meeting
 
 EVERY: Part = (slice(None), slice(None), slice(None))
 _NONE = -1  # the chart of samples of which nothing is known
 _ENGINE = NumpyEngine(64)
 _CHUNK = 1 << 14  # points whose some thirty temporary columns stay in a core's cache
 _TOGETHER = 512  # bricks whose samples are looked up together
-_BRICKS = 512  # bricks whose cells are looked at together
-_MOST = np.iinfo(np.int32).max
 _SLIVER = 1e-4  # height over the longest edge: below, the plane is not trusted
 
 
@@ -89,7 +87,7 @@ def textured(grid: Grid, wanted: Bool[np.ndarray, "k 8 8 8"] | None = None) -> T
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(fill, range(0, shape[0], _TOGETHER)))
-    return Textured(uv, chart, _seams(grid.bricks, chart))
+    return Textured(uv, chart, meeting(grid.bricks, chart))
 
 
 def coordinates(
@@ -227,56 +225,3 @@ def _of_layers(
         uv[at] = layers.offset[virtual] + layers.scale[virtual] * (code / FULL)
         chart[at] = layers.of[virtual]
     return uv, chart
-
-
-def _seams(bricks: Bricks, chart: Int[np.ndarray, "k 8 8 8"]) -> Bool[np.ndarray, "k 8 8 8"]:
-    """Say of every cell whether its corners belong to several charts; -1 is none.
-
-    Only bricks are looked at that see several charts, with the seven that their last cells reach into.
-    """
-    low = np.where(chart < 0, _MOST, chart).min(axis=(1, 2, 3), initial=_MOST)
-    high = chart.max(axis=(1, 2, 3), initial=_NONE)
-    reached = _reached(bricks)
-    low, high = np.append(low, _MOST), np.append(high, _NONE)  # what a slot of -1 finds
-    several = np.flatnonzero(low[reached].min(axis=1) < high[reached].max(axis=1))
-    seam = np.zeros(chart.shape, bool)
-    for start in range(0, len(several), _BRICKS):
-        part = several[start : start + _BRICKS]
-        seam[part] = _several(chart, reached[part])
-    return seam
-
-
-def _reached(bricks: Bricks) -> Int[np.ndarray, "k 8"]:
-    """Return the slots of every brick and of its seven neighbours on the far sides, -1 where there is none."""
-    slot = np.pad(bricks.slot, (0, 1), constant_values=-1)
-    found: Int[np.ndarray, "k 8"] = np.stack(
-        [slot[tuple((bricks.index + step).T)] for step in product((0, 1), repeat=3)], axis=1
-    )
-    return found
-
-
-def _several(chart: Int[np.ndarray, "k 8 8 8"], reached: Int[np.ndarray, "n 8"]) -> Bool[np.ndarray, "n 8 8 8"]:
-    """Say of every cell of some bricks whether its corners belong to several charts."""
-    seen = np.full((len(reached), SIDE + 1, SIDE + 1, SIDE + 1), _NONE, np.int32)
-    for column, step in enumerate(product((0, 1), repeat=3)):
-        there = reached[:, column] >= 0
-        to = tuple(slice(SIDE, None) if far else slice(SIDE) for far in step)
-        of = tuple(slice(1) if far else slice(None) for far in step)
-        seen[(there, *to)] = chart[(reached[there, column], *of)]
-    return several(seen)
-
-
-def several(chart: Int[np.ndarray, "*n x y z"]) -> Bool[np.ndarray, "*n x-1 y-1 z-1"]:
-    """Say of every cell whether its corners, whose charts are given, belong to several; -1 is none."""
-    low, high = np.where(chart < 0, _MOST, chart), chart
-    for axis in (-3, -2, -1):
-        first, second = _pair(axis + chart.ndim)
-        low = np.minimum(low[first], low[second])
-        high = np.maximum(high[first], high[second])
-    return low < high
-
-
-def _pair(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Return what selects all but the last, and all but the first, along an axis."""
-    before = (slice(None),) * axis
-    return (*before, slice(-1)), (*before, slice(1, None))
