@@ -8,10 +8,7 @@ ROOMS = ("sdfbake", "sdfrender", "datasets_synthetic", "validate")
 # What runs once per step of a loop: checking every call would be most of the tests' time.
 UNCHECKED = {f"sdfrender.{name}" for name in ("march", "stride", "tables", "cell", "vector", "anisotropic", "texels")}
 ROOT = Path(__file__).parent.parent
-FOLDERS = (*ROOMS, "sdfbake/export", "sdfbake/imports", "sdfbake/view")
-MODULES = {
-    f"{folder.replace('/', '.')}.{path.stem}" for folder in FOLDERS for path in (ROOT / folder).glob("*.py")
-} - UNCHECKED
+MODULES = {f"{room}.{path.stem}" for room in ROOMS for path in (ROOT / room).glob("*.py")} - UNCHECKED
 
 install_import_hook(sorted(MODULES), "typecheck.check")  # before the first import of a room
 

@@ -215,7 +215,7 @@ def _mirrored(numbers: range, count: int) -> Int[np.ndarray, " n"]:
     return np.where(at < 0, -1 - at, np.where(at < count, at, 2 * count - 1 - at))
 
 
-def _rows(values: Shaped[np.ndarray, "n+4 m"]) -> list[Shaped[np.ndarray, "n m"]]:
+def _rows(values: Shaped[np.ndarray, "n m"]) -> list[Shaped[np.ndarray, "n-4 m"]]:
     """Return the five rows around every one but the two at either end."""
     rest = len(values) - 2 * _HALO
     return [values[step : step + rest] for step in range(2 * _HALO + 1)]

@@ -7,7 +7,7 @@ the topology of all nodes, depth first, then the values of the leaves in the sam
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from sdfbake.bricks import SIDE
 from sdfbake.imports.field import corrupt
@@ -42,7 +42,7 @@ class Tree:
     background: float
     origin: Int[np.ndarray, "k 3"]
     values: Float[np.ndarray, "k 8 8 8"]
-    active: Int[np.ndarray, "k 64"]
+    active: UInt8[np.ndarray, "k 64"]
     tile_origin: Int[np.ndarray, "t 3"]
     tile_side: Int[np.ndarray, " t"]
     tile_value: Float[np.ndarray, " t"]
