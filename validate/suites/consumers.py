@@ -119,7 +119,7 @@ def _costs(bench: Bench) -> Iterator[Run]:
 
 
 def _weighed(blank: Run, bench: Bench, to: str, resolution: int) -> Run:
-    source = bench.grid("bunny", resolution)
+    source = bench.grid("bunny", resolution).resolve()  # the process that loads it runs elsewhere
     with TemporaryDirectory(prefix="consumers-") as folder, Process(sys.executable, WEIGHED) as process:
         process.hello()
         output = Path(folder) / f"bunny{FORMATS[to].suffix}"
