@@ -43,6 +43,8 @@ def print_record(record: dict[str, Any], *, as_json: bool) -> None:
         commandline.print_json(record)
         return
     table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column()
+    table.add_column(overflow="fold")  # a path is broken, never cut
     for name, value in record.items():
         table.add_row(name.replace("_", " "), escape(_plain(value)))
     Console().print(table)
