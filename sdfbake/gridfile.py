@@ -112,11 +112,6 @@ def whole_head(path: str | Path) -> Head:
     return opened(path, read_head)
 
 
-def level_count(path: str | Path) -> int:
-    """Say how many coarser levels a grid file has."""
-    return whole_head(path).levels
-
-
 def nothing_read(path: str | Path) -> Reading:
     """Say that of a grid file nothing but the head was read."""
 

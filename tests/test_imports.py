@@ -129,6 +129,12 @@ def test_npy_that_does_not_say_where(values, tmp_path):
     assert found.grid.metadata.band == 0
 
 
+def test_coefficients_are_no_distances(sphere, tmp_path):
+    export(Grid.from_function(sphere, 24), tmp_path / "c.npy", "coefficients")
+    with pytest.raises(BadInput, match="c.npy holds B-spline coefficients, no distances"):
+        import_grid(tmp_path / "c.npy")
+
+
 def test_npy_beside_a_description_of_another(values, tmp_path):
     np.save(tmp_path / "a.npy", values)
     lattice = {"origin": [0, 0, 0], "spacing": 1.0, "shape": [3, 3, 3]}

@@ -17,7 +17,7 @@ from sdfbake.closest import Surface
 from sdfbake.commands.info import describe
 from sdfbake.compare import compare
 from sdfbake.foretelling import Tables
-from sdfbake.gridfile import level_count, load_counted, stored_bytes
+from sdfbake.gridfile import load_counted, stored_bytes, whole_head
 from sdfbake.lattice import BAND, LEAST, Lattice
 from sdfbake.meshfile import save
 
@@ -145,7 +145,7 @@ def test_levels_are_baked_not_thinned(baked):
 
 def test_round_trip(baked, saved, tmp_path):
     loaded = Grid.load(saved)
-    assert level_count(saved) == len(loaded.levels) == 2
+    assert whole_head(saved).levels == len(loaded.levels) == 2
     for one, other in zip((baked, *baked.levels), (loaded, *loaded.levels), strict=True):
         assert_same(one, other)
         assert np.array_equal(one.face, other.face) and np.array_equal(one.layers.uv, other.layers.uv)
@@ -187,7 +187,7 @@ def test_files_without_levels_are_as_they_were(tmp_path):
     grid.save(tmp_path / "old.zarr.zip")
     with zipfile.ZipFile(tmp_path / "old.zarr.zip") as archive:
         assert b'"levels"' not in archive.read("zarr.json")
-    assert Grid.load(tmp_path / "old.zarr.zip").levels == () and level_count(tmp_path / "old.zarr.zip") == 0
+    assert Grid.load(tmp_path / "old.zarr.zip").levels == () and whole_head(tmp_path / "old.zarr.zip").levels == 0
 
 
 def test_the_faces_are_stored_once(saved):

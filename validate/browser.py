@@ -5,7 +5,6 @@ or asked the network for. A browser that ends or is silent for too long raises R
 outlives its `with`.
 """
 
-import base64
 import json
 import os
 import select
@@ -160,10 +159,6 @@ class Browser:
             said = details.get("exception", {}).get("description") or details.get("text")
             raise RuntimeError(f"the page says: {str(said).splitlines()[0]}")
         return answer["result"].get("value")
-
-    def screenshot(self) -> bytes:
-        """Return what the window shows, PNG."""
-        return base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
 
     def _next(self, deadline: float) -> dict[str, Any]:
         while b"\0" not in self._rest:

@@ -1,7 +1,7 @@
 """The bricks of a grid as plain arrays, small enough for a GPU.
 
 In: a grid and a precision. Out: `Packed`: arrays, what each means, and what rounding cost. The export `raw` writes them
-as they are; whatever else uploads a grid starts here.
+as they are.
 """
 
 from collections.abc import Iterator, Mapping
